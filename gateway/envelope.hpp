@@ -1,0 +1,82 @@
+// The operating envelope: the limits of Section III around one setpoint, each with its margin. Per unit.
+#pragma once
+
+#include <array>
+#include <cassert>
+#include <cstddef>
+#include <cstdint>
+
+#include "plant/model.hpp"
+
+namespace weakgrid {
+
+/// What a setpoint must respect. The defaults keep the paper's points at X_g = 0.3: p = q = 0.707 is inside
+/// (|v_p| = 1.165), and at p = 0.707 it is the current that ends the range of q downwards, at −0.407.
+struct Limits {
+  double i_max = 1.0;    ///< nominal current
+  double v_p_min = 0.8;  ///< PCC voltage band, ±20 %
+  double v_p_max = 1.2;
+  double v_c_min = 1.5;  ///< below √2 the bridge cannot even make the nominal voltage
+  double v_c_max = 2.4;  ///< 1.7 √2: room above the paper's 1.3 √2, to be kept below the DC-link trip
+};
+
+struct Setpoint {
+  double p = 0.0;
+  double q = 0.0;
+  double v_c = 1.3 * 1.41421356237309505;
+};
+
+/// Mirrors LimitName of the wire contract, same order.
+enum class Limit : std::uint8_t {
+  steady_state,   ///< λ ≥ 0; the margin is λ itself
+  current,        ///< |i| ≤ i_max
+  control,        ///< |v_p + jX_L i| ≤ v_c μ_max, exact: with the drop in the filter
+  control_rough,  ///< |v_p| ≤ v_c μ_max, the paper's estimate; never enforced
+  pcc_voltage_min,
+  pcc_voltage_max,
+  dc_voltage_min,
+  dc_voltage_max,
+};
+inline constexpr std::size_t limit_count = 8;
+
+struct LimitMargin {
+  Limit limit = Limit::steady_state;
+  bool enforced = true;
+  double margin = 0.0;  ///< distance to the limit, at least 0 = inside; NaN = cannot be told
+};
+
+/// This margin refuses the setpoint. A NaN does.
+constexpr bool violated(const LimitMargin& m) noexcept { return m.enforced && !(m.margin >= 0.0); }
+
+/// At most one margin per limit, in the order of Limit. Fixed capacity: a decision allocates nothing.
+class Margins {
+ public:
+  constexpr void add(LimitMargin margin) noexcept {
+    assert(count_ < limit_count);
+    margins_[count_++] = margin;
+  }
+  constexpr std::size_t size() const noexcept { return count_; }
+  constexpr const LimitMargin* begin() const noexcept { return margins_.data(); }
+  constexpr const LimitMargin* end() const noexcept { return margins_.data() + count_; }
+  /// nullptr if the limit could not be assessed.
+  constexpr const LimitMargin* find(Limit limit) const noexcept {
+    for (const LimitMargin& m : *this)
+      if (m.limit == limit) return &m;
+    return nullptr;
+  }
+
+ private:
+  std::array<LimitMargin, limit_count> margins_{};
+  std::size_t count_ = 0;
+};
+
+struct Assessment {
+  bool admissible = false;  ///< no margin is violated
+  Margins margins;  ///< without a steady state (λ < 0): only λ and the v_c range, the rest does not exist
+};
+
+/// Total: NaN in anything read here (all but Converter::C) is never admissible; an infinite limit is none.
+Assessment assess(const Grid& grid, const Converter& converter, const Limits& limits,
+                  const Setpoint& setpoint) noexcept;
+
+}  // namespace weakgrid

@@ -1,0 +1,166 @@
+// The vocabulary that every pure room shares: space vectors, the converter, the grid, and what passes between
+// plant, controller and gateway in one step. Section II of the paper; per unit, time in seconds.
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+
+namespace weakgrid {
+
+/// Complex space vector in the stationary αβ frame: re = α, im = β.
+/// Not std::complex: its product may call a library routine, and every operation here must round the same way
+/// with every compiler (equations.md, Bit-exactness).
+struct SpaceVector {
+  double re = 0.0;
+  double im = 0.0;
+  friend constexpr bool operator==(SpaceVector, SpaceVector) = default;
+};
+
+constexpr SpaceVector operator+(SpaceVector a, SpaceVector b) { return {a.re + b.re, a.im + b.im}; }
+constexpr SpaceVector operator-(SpaceVector a, SpaceVector b) { return {a.re - b.re, a.im - b.im}; }
+constexpr SpaceVector operator*(SpaceVector a, SpaceVector b) {
+  return {a.re * b.re - a.im * b.im, a.re * b.im + a.im * b.re};
+}
+constexpr SpaceVector operator*(double a, SpaceVector b) { return {a * b.re, a * b.im}; }
+constexpr SpaceVector operator/(SpaceVector a, double b) { return {a.re / b, a.im / b}; }
+constexpr SpaceVector conj(SpaceVector a) { return {a.re, -a.im}; }
+constexpr double abs2(SpaceVector a) { return a.re * a.re + a.im * a.im; }
+constexpr SpaceVector operator/(SpaceVector a, SpaceVector b) { return (a * conj(b)) / abs2(b); }
+inline double abs(SpaceVector a) { return std::sqrt(abs2(a)); }
+inline bool finite(SpaceVector a) { return std::isfinite(a.re) && std::isfinite(a.im); }
+
+/// j·a, the quarter turn.
+constexpr SpaceVector times_j(SpaceVector a) { return {-a.im, a.re}; }
+
+/// s = v ĩ = p + jq: re is the active, im the reactive power.                                              eq:s
+constexpr SpaceVector power(SpaceVector v, SpaceVector i) { return v * conj(i); }
+
+inline constexpr double pi = 3.14159265358979323846;
+
+/// 1/0!, 1/1!, … 1/23!
+inline constexpr auto reciprocal_factorial = [] {
+  struct {
+    double of[24];
+  } table{};
+  double factorial = 1.0;
+  for (int n = 0; n < 24; ++n) {
+    if (n > 0) factorial *= n;
+    table.of[n] = 1.0 / factorial;
+  }
+  return table;
+}();
+
+/// e^{j·angle} for |angle| ≤ π/2 rad, to the last bits, from + and × alone: libm's sin and cos differ between
+/// machines, and a ramp is evaluated inside the step. Taylor: the first term left out is below 2⁻⁵³.
+constexpr SpaceVector unit_phasor(double angle) {
+  const double x2 = angle * angle;
+  double c = 0.0, s = 0.0;
+  for (int n = 22; n >= 0; n -= 2) {
+    c = reciprocal_factorial.of[n] - x2 * c;
+    s = reciprocal_factorial.of[n + 1] - x2 * s;
+  }
+  return {c, angle * s};
+}
+
+struct Converter {
+  double omega = 2.0 * pi * 50.0;        ///< grid angular frequency ω, rad/s
+  double L = 0.02 / (2.0 * pi * 50.0);   ///< filter inductance X_L/ω, seconds
+  double C = 4.8e-4;                     ///< DC-link capacitance C_phys·Z_b, seconds
+  double mu_max = 0.70710678118654752;   ///< |μ| ≤ 1/√2: space vector modulation
+};
+
+/// Thévenin grid. R_g ≥ 0 and L_g ≥ 0, both may be zero (strong grid).
+struct Grid {
+  double R_g = 0.0;
+  double L_g = 0.0;  ///< X_g/ω, seconds
+  double V = 1.0;    ///< |v_g| > 0
+};
+
+/// How μ is held between two updates (equations.md, trap 7).
+enum class Hold : std::uint8_t {
+  turning,  ///< the modulator turns the held μ at ω
+  still,    ///< μ stands still in αβ
+};
+
+/// What a measurement of v_p and i is.
+enum class Sampling : std::uint8_t {
+  instantaneous,  ///< taken just before μ is updated
+  period_mean,    ///< mean over the period that ends there
+};
+
+/// The contract between plant and controller; both must hold the same.
+struct Timing {
+  std::int64_t period_ns = 100'000;
+  std::uint8_t delay = 1;  ///< 0 or 1 steps between a sample and the effect of its μ
+  Hold hold = Hold::turning;
+  Sampling sampling = Sampling::instantaneous;
+  friend constexpr bool operator==(Timing, Timing) = default;
+};
+
+constexpr double period_s(const Timing& timing) { return static_cast<double>(timing.period_ns) * 1e-9; }
+
+/// Sample k: taken at t = k·T, just before μ is updated.
+struct Measurement {
+  std::uint64_t step = 0;
+  Timing timing;
+  std::uint32_t reference_id = 0;  ///< the reference that the source follows, 0 = none yet
+  bool blocked = false;            ///< the bridge is blocked and the source open
+  SpaceVector v_p;
+  SpaceVector i;
+  double v_c = 0.0;
+  double p_i = 0.0;
+};
+
+/// The answer to sample k: μ as it stands in αβ at the instant (k + delay)·T at which it takes effect.
+struct Modulation {
+  std::uint64_t step = 0;
+  std::uint32_t period_ns = 0;     ///< echo of the contract
+  std::uint32_t reference_id = 0;  ///< the reference in force, 0 = none yet
+  std::uint32_t status = 0;        ///< ControllerStatus bits
+  SpaceVector mu;
+};
+
+/// What the gateway orders: p goes to the source, q and v_c to the controller. Both ramp from what stands.
+struct Reference {
+  std::uint32_t id = 0;  ///< 1, 2, … in the order of issue
+  double p = 0.0;
+  double q = 0.0;
+  double v_c = 0.0;
+  std::uint64_t effective_step = 0;
+  std::uint32_t ramp_steps = 0;
+};
+
+/// A quantity on its way: raised cosine over `steps` steps from `start`, then `to`. A ramp that begins while the
+/// one before still moves carries the slope over, so value and slope never jump.
+struct Ramp {
+  double from = 0.0;
+  double to = 0.0;
+  double slope = 0.0;  ///< slope at the start, per step
+  std::uint64_t start = 0;
+  std::uint32_t steps = 0;
+
+  struct Point {
+    double value;
+    double slope;  ///< per step, exact
+  };
+
+  constexpr Point at(std::uint64_t step) const {
+    if (step < start) return {from, slope};
+    if (step - start >= steps) return {to, 0.0};
+    const double n = static_cast<double>(steps);
+    const double s = static_cast<double>(step - start) / n;
+    const double r = 1.0 - s;
+    const SpaceVector half = unit_phasor(0.5 * pi * s);
+    // sin²(πs/2) is the raised cosine; s(1-s)² takes the initial slope to zero and moves neither end.
+    return {from + (to - from) * (half.im * half.im) + slope * n * (s * r * r),
+            (to - from) * (pi * half.im * half.re) / n + slope * (r * r - 2.0 * s * r)};
+  }
+
+  /// The ramp to `target` that leaves from where this one is at `step`.
+  constexpr Ramp towards(double target, std::uint64_t step, std::uint32_t over_steps) const {
+    const Point now = at(step);
+    return {now.value, target, now.slope, step, over_steps};
+  }
+};
+
+}  // namespace weakgrid

@@ -1,0 +1,92 @@
+// Client: see the header.
+#include "services/cli/client.hpp"
+
+namespace weakgrid {
+
+Client::Client(std::uint32_t domain, std::uint32_t unit, const std::vector<std::string>& interfaces)
+    : identity_(random_identity()),
+      bus_(domain, interfaces, "weakgrid"),
+      health_reader_(bus_, unit,
+                     [this](const Health& health, WriterId) {
+                       const std::lock_guard lock(mutex_);
+                       peers_[{health.service, health.instance}] = health;
+                       news_.notify_all();
+                     }),
+      manifest_reader_(bus_, unit,
+                       [this](const Manifest& manifest, WriterId) {
+                         const std::lock_guard lock(mutex_);
+                         manifests_[{manifest.service, manifest.instance}] = manifest;
+                       }),
+      decision_reader_(bus_, unit,
+                       [this](const DecisionMessage& message, WriterId) {
+                         if (message.decision.client != identity_) return;
+                         const std::lock_guard lock(mutex_);
+                         decision_ = message;
+                         news_.notify_all();
+                       }),
+      requests_(bus_, unit),
+      operations_(bus_, unit) {}
+
+Client::Peers Client::peers() const {
+  const std::lock_guard lock(mutex_);
+  return peers_;
+}
+
+std::vector<Manifest> Client::manifests() const {
+  const std::lock_guard lock(mutex_);
+  std::vector<Manifest> all;
+  for (const auto& [key, manifest] : manifests_) all.push_back(manifest);
+  return all;
+}
+
+bool Client::wait_for(Patience patience, const std::function<bool(const Peers&)>& condition) const {
+  std::unique_lock lock(mutex_);
+  return news_.wait_for(lock, patience, [&] { return condition(peers_); });
+}
+
+bool Client::wait_for(const std::string& service, Patience patience,
+                      const std::function<bool(const Health&)>& condition) const {
+  return wait_for(patience, [&](const Peers& peers) {
+    for (const auto& [key, health] : peers)
+      if (key.first == service && health.state != ServiceState::stopped && condition(health)) return true;
+    return false;
+  });
+}
+
+std::optional<DecisionMessage> Client::ask(Request request, Patience patience) {
+  request.client = identity_;
+  request.id = ++last_id_;
+  const auto deadline = std::chrono::steady_clock::now() + patience;
+  std::unique_lock lock(mutex_);
+  decision_.reset();
+  // The gateway may know this client as a writer before it knows it as a reader: a repeat costs nothing.
+  while (std::chrono::steady_clock::now() < deadline) {
+    if (requests_.matched() > 0 && decision_reader_.matched() > 0) {
+      lock.unlock();
+      (void)requests_.write(request);
+      lock.lock();
+    }
+    if (news_.wait_for(lock, Patience(100), [&] { return decision_ && decision_->decision.id == request.id; }))
+      return decision_;
+  }
+  return std::nullopt;
+}
+
+bool Client::operate(OperationKind kind, std::uint64_t until_step, Patience patience) {
+  const auto deadline = std::chrono::steady_clock::now() + patience;
+  const Operation operation{.client = identity_, .id = ++last_id_, .kind = kind, .until_step = until_step};
+  while (operations_.matched() == 0) {
+    if (std::chrono::steady_clock::now() >= deadline) return false;
+    std::unique_lock lock(mutex_);
+    news_.wait_for(lock, Patience(10));
+  }
+  return operations_.write(operation);
+}
+
+std::uint64_t counter(const Health& health, const std::string& name) {
+  for (const Counter& counter : health.counters)
+    if (counter.name == name) return counter.value;
+  return 0;
+}
+
+}  // namespace weakgrid

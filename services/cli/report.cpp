@@ -1,0 +1,104 @@
+// Report: see the header.
+#include "services/cli/report.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <nlohmann/json.hpp>
+
+#include "services/decision_text.hpp"
+
+namespace weakgrid {
+
+bool Outcome::is_good() const {
+  return summary.settled && trip.empty() && holds == 0 &&
+         std::all_of(decisions.begin(), decisions.end(),
+                     [](const Decision& d) { return d.verdict == Verdict::accepted; });
+}
+
+namespace {
+
+double rate(const Settings& settings, const Outcome& outcome) {
+  return outcome.wall_s > 0.0 ? settings.scenario->end_s / outcome.wall_s : 0.0;
+}
+
+std::string verdict(const Settings& settings, const Outcome& outcome) {
+  if (!outcome.trip.empty())
+    return fmt::format("LOST the operating point: {} at t = {:.4f} s (step {})", outcome.trip,
+                       static_cast<double>(outcome.trip_step) * period_s(timing(settings)), outcome.trip_step);
+  for (const Decision& decision : outcome.decisions)
+    if (decision.verdict != Verdict::accepted) return "REFUSED: a setpoint was not accepted";
+  if (outcome.holds > 0) return fmt::format("INTERRUPTED: {} steps without a modulation", outcome.holds);
+  if (!outcome.summary.has_steady_state) return "LOST: the grid at the end has no steady state for this setpoint";
+  return outcome.summary.settled ? "SETTLED where the closed form says" : "NOT SETTLED";
+}
+
+}  // namespace
+
+void print_table(const Settings& settings, const Outcome& outcome) {
+  const auto& s = outcome.summary;
+  for (const Decision& decision : outcome.decisions) fmt::print("{}\n", describe(decision, timing(settings)));
+  fmt::print("\n{:<20}{:>14}{:>14}{:>14}{:>12}\n", "", "settled", "closed form", "rel. diff.", "swing");
+  for (const auto& q : s.quantities)
+    fmt::print("{:<20}{:>14.6f}{:>14.6f}{:>14.1e}{:>12.1e}  {}\n", q.name, q.settled, q.closed_form, q.difference,
+               q.swing, q.agrees ? "agrees" : "DIFFERS");
+  fmt::print("\nv_c {:.4f} … {:.4f}, {} steps saturated", s.v_c_min, s.v_c_max, s.saturated);
+  if (outcome.over_dds) {
+    fmt::print(", {} steps held, {} samples sent again, {} not seen by this observer\n", outcome.holds,
+               outcome.resends, s.missed);
+    fmt::print("{:.2f} s at {} µs in {:.2f} s: {:.2f} × real time over DDS, {:.0f} steps/s\n", settings.scenario->end_s,
+               settings.timing.period_us, outcome.wall_s, rate(settings, outcome),
+               rate(settings, outcome) * 1e6 / settings.timing.period_us);
+  } else {
+    fmt::print("\n{:.2f} s at {} µs in {:.4f} s: {:.0f} × real time\n", settings.scenario->end_s,
+               settings.timing.period_us, outcome.wall_s, rate(settings, outcome));
+  }
+  fmt::print("modulation digest {}\n", outcome.digest);
+  fmt::print("{}\n", verdict(settings, outcome));
+}
+
+nlohmann::json to_json(const Decision& decision, const Timing& timing) {
+  nlohmann::json margins = nlohmann::json::array();
+  for (const LimitMargin& margin : decision.margins)
+    margins.push_back({{"limit", name(margin.limit)}, {"enforced", margin.enforced}, {"margin", margin.margin}});
+  return {{"verdict", name(decision.verdict)},
+          {"active_power", decision.setpoint.p},
+          {"reactive_power", decision.setpoint.q},
+          {"dc_voltage", decision.setpoint.v_c},
+          {"reference_id", decision.reference ? decision.reference->id : 0},
+          {"effective_step", decision.reference ? decision.reference->effective_step : 0},
+          {"ramp_steps", decision.reference ? decision.reference->ramp_steps : 0},
+          {"margins", margins},
+          {"text", describe(decision, timing)}};
+}
+
+nlohmann::json to_json(const Settings& settings, const Outcome& outcome) {
+  const auto& s = outcome.summary;
+  nlohmann::json decisions = nlohmann::json::array();
+  for (const Decision& decision : outcome.decisions) decisions.push_back(to_json(decision, timing(settings)));
+  nlohmann::json quantities;
+  for (const auto& q : s.quantities)
+    quantities[q.name] = {{"settled", q.settled},
+                          {"closed_form", q.closed_form},
+                          {"relative_difference", q.difference},
+                          {"relative_swing", q.swing},
+                          {"agrees", q.agrees}};
+  return {{"title", settings.scenario->title},
+          {"good", outcome.is_good()},
+          {"verdict", verdict(settings, outcome)},
+          {"decisions", decisions},
+          {"quantities", quantities},
+          {"dc_voltage_min", s.v_c_min},
+          {"dc_voltage_max", s.v_c_max},
+          {"saturated_steps", s.saturated},
+          {"held_steps", outcome.holds},
+          {"resent_samples", outcome.resends},
+          {"unobserved_samples", s.missed},
+          {"trip", outcome.trip},
+          {"trip_step", outcome.trip_step},
+          {"modulation_digest", outcome.digest},
+          {"wall_s", outcome.wall_s},
+          {"times_real_time", rate(settings, outcome)}};
+}
+
+}  // namespace weakgrid

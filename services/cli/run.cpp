@@ -1,0 +1,203 @@
+// weakgrid run: plant, controller and gateway as processes, a scenario played through the gateway, a verdict.
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include <chrono>
+#include <nlohmann/json.hpp>
+
+#include "services/cli/client.hpp"
+#include "services/cli/commands.hpp"
+#include "services/cli/processes.hpp"
+#include "services/cli/report.hpp"
+#include "services/decision_text.hpp"
+#include "services/runtime/program.hpp"
+
+namespace weakgrid {
+
+namespace {
+
+constexpr Patience to_start{30'000};  // three processes on a busy machine
+constexpr Patience to_answer{10'000};
+
+struct Options {
+  std::string file;
+  std::string log = "warning";
+  std::optional<std::uint32_t> domain;
+  bool json = false;
+};
+
+// One scenario against services that run.
+class Conductor {
+ public:
+  Conductor(const Settings& settings, Processes& processes, StopSignal& stop)
+      : settings_(settings),
+        processes_(processes),
+        stop_(stop),
+        client_(settings.unit.domain, settings.unit.number, settings.dds.interfaces),
+        record_(settings),
+        measurements_(client_.bus(), settings.unit.number,
+                      [this](const Measurement& m, WriterId) {
+                        const std::lock_guard lock(mutex_);
+                        if (m.step == next_to_see_) ++next_to_see_;
+                        else if (m.step > next_to_see_) next_to_see_ = m.step + 1;
+                        else return;  // sent again
+                        record_.see(m);
+                      }),
+        modulations_(client_.bus(), settings.unit.number, [this](const Modulation& mu, WriterId) {
+          const std::lock_guard lock(mutex_);
+          record_.see(mu);
+        }) {}
+
+  Outcome play() {
+    Outcome outcome;
+    outcome.over_dds = true;
+    wait("the services to start", [this](Patience p) {
+      return client_.wait_for(p, [](const Client::Peers& peers) {
+        std::size_t here = 0;
+        for (const auto& [key, health] : peers) here += health.state != ServiceState::stopped ? 1 : 0;
+        return here >= 3;
+      });
+    });
+    wait("plant and observer to meet", [this](Patience) {
+      stop_.wait(Patience(5));
+      return measurements_.matched() > 0 && modulations_.matched() > 0;
+    });
+    for (const auto& setpoint : settings_.scenario->setpoints) {
+      const std::uint64_t step = step_at(settings_, setpoint.at_s);
+      advance(step, outcome);
+      const auto answer = client_.ask(request(settings_, setpoint, 0, 0), to_answer);
+      if (!answer) throw std::runtime_error("the gateway does not answer");
+      outcome.decisions.push_back(answer->decision);
+      {
+        const std::lock_guard lock(mutex_);
+        record_.see(answer->decision);
+      }
+      if (!answer->decision.reference) continue;
+      const std::uint32_t id = answer->decision.reference->id;
+      for (const char* reader : {"plant", "controller"})
+        wait(fmt::format("the {} to take reference {}", reader, id), [&](Patience p) {
+          return client_.wait_for(reader, p, [id](const Health& h) { return h.reference_id >= id; });
+        });
+    }
+    advance(record_.end_step(), outcome);
+    finish(outcome);
+    return outcome;
+  }
+
+ private:
+  // `attempt` waits a while and says whether it has come; between attempts: is everybody still there?
+  void wait(const std::string& what, const std::function<bool(Patience)>& attempt) {
+    const auto deadline = std::chrono::steady_clock::now() + to_start;
+    while (!attempt(Patience(50))) {
+      if (stop_.wait(Patience(0))) throw std::runtime_error("stopped by a signal");
+      if (const std::string name = processes_.ended(); !name.empty())
+        throw std::runtime_error(name + " has ended by itself; its reason is above");
+      if (is_shared()) throw std::runtime_error(fmt::format(
+          "unit {} is already served in domain {}: give another --domain", settings_.unit.number, settings_.unit.domain));
+      if (std::chrono::steady_clock::now() > deadline) throw std::runtime_error("gave up waiting for " + what);
+    }
+  }
+
+  // Somebody else serves the same unit of the same domain.
+  bool is_shared() const {
+    std::map<std::string, int> count;
+    for (const auto& [key, health] : client_.peers())
+      if (health.state != ServiceState::stopped && health.wall_time_ns >= started_ns_ && ++count[key.first] > 1)
+        return true;
+    return false;
+  }
+
+  // Lets the unit go on to `step` and wait there.
+  void advance(std::uint64_t step, Outcome& outcome) {
+    const auto start = std::chrono::steady_clock::now();
+    if (!client_.operate(OperationKind::advance, step, to_answer))
+      throw std::runtime_error("the plant takes no operation");
+    std::uint64_t last_step = 0;
+    auto deadline = std::chrono::steady_clock::now() + to_start;
+    while (!client_.wait_for("plant", Patience(200), [step](const Health& h) {
+      return h.state == ServiceState::waiting && h.step >= step && !h.digest.empty();
+    })) {
+      if (stop_.wait(Patience(0))) throw std::runtime_error("stopped by a signal");
+      if (const std::string name = processes_.ended(); !name.empty())
+        throw std::runtime_error(name + " has ended by itself; its reason is above");
+      const std::uint64_t now_at = health_of("plant").step;
+      const auto now = std::chrono::steady_clock::now();
+      if (now_at > last_step) deadline = now + to_start;
+      last_step = now_at;
+      if (now > deadline) throw std::runtime_error(fmt::format("the unit stands still at step {}", now_at));
+    }
+    outcome.wall_s += std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  }
+
+  Health health_of(const std::string& service) const {
+    for (const auto& [key, health] : client_.peers())
+      if (key.first == service) return health;
+    return {};
+  }
+
+  void finish(Outcome& outcome) {
+    const Health plant = health_of("plant");
+    outcome.holds = counter(plant, "holds");
+    outcome.resends = counter(plant, "resends");
+    outcome.digest = plant.digest;
+    const std::lock_guard lock(mutex_);
+    outcome.summary = record_.summary();
+    outcome.summary.saturated = counter(plant, "saturated");
+    if (counter(plant, "tripped") != 0) {
+      outcome.trip = plant.text;
+      outcome.trip_step = outcome.summary.blocked_at.value_or(0);
+    }
+  }
+
+  const Settings& settings_;
+  Processes& processes_;
+  StopSignal& stop_;
+  const std::int64_t started_ns_ = wall_time_ns();
+  Client client_;
+  std::mutex mutex_;
+  RunRecord record_;
+  std::uint64_t next_to_see_ = 0;
+  Reader<Measurement> measurements_;
+  Reader<Modulation> modulations_;
+};
+
+int run(const Options& options) {
+  Settings settings = load_scenario(options.file);
+  settings.unit.domain = options.domain.value_or(settings.unit.domain);
+  StopSignal stop;
+  Processes processes;
+  std::vector<std::string> arguments{"--settings", options.file, "--log", options.log, "--domain",
+                                     std::to_string(settings.unit.domain)};
+  processes.start("weakgrid-controller", arguments);
+  processes.start("weakgrid-gateway", arguments);
+  arguments.insert(arguments.end(), {"--until", "0"});
+  processes.start("weakgrid-plant", arguments);
+  if (isatty(STDERR_FILENO) != 0)
+    fmt::print(stderr, "weakgrid: plays \"{}\" over DDS, domain {}\n", settings.scenario->title, settings.unit.domain);
+
+  Outcome outcome = Conductor(settings, processes, stop).play();
+  const bool stopped_well = processes.stop();
+  if (options.json) fmt::print("{}\n", to_json(settings, outcome).dump(2));
+  else print_table(settings, outcome);
+  if (!stopped_well) throw std::runtime_error("a service did not end well");
+  return outcome.is_good() ? exit_done : exit_no;
+}
+
+}  // namespace
+
+Command add_run(CLI::App& app) {
+  auto options = std::make_shared<Options>();
+  CLI::App* command =
+      app.add_subcommand("run", "Starts plant, controller and gateway, plays a scenario over DDS, prints a verdict.");
+  command->add_option("SCENARIO", options->file, "scenario file, TOML")->required();
+  command->add_option("--domain", options->domain, "DDS domain, instead of the file's")->check(CLI::Range(0, 230));
+  command->add_option("--log", options->log, "what the services print on stderr")
+      ->check(CLI::IsMember({"debug", "info", "warning", "error"}))
+      ->capture_default_str();
+  command->add_flag("--json", options->json, "print JSON");
+  command->footer("Example: weakgrid run deploy/settings/paper-weak.toml\n"
+                  "Exit: 0 settled where the closed form says, 1 not, 2 bad usage or input, 3 the world failed.");
+  return [options] { return run(*options); };
+}
+
+}  // namespace weakgrid

@@ -1,0 +1,130 @@
+// weakgrid-controller: the flatness law on the bus, one answer to each sample.
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <atomic>
+
+#include "controller/controller.hpp"
+#include "services/runtime/announcer.hpp"
+#include "services/runtime/mailbox.hpp"
+#include "services/runtime/program.hpp"
+
+namespace weakgrid {
+namespace {
+
+std::vector<Constant> constants(const Controller& controller) {
+  const ControllerConstants& c = controller.constants();
+  return {{"T", c.T},
+          {"K1", c.K.k1},
+          {"K2", c.K.k2},
+          {"K3", c.K.k3},
+          {"notch_turn_re", c.notch.turn.re},
+          {"notch_turn_im", c.notch.turn.im},
+          {"notch_intake_re", c.notch.intake.re},
+          {"notch_intake_im", c.notch.intake.im},
+          {"tracking", c.tracking},
+          {"held_re", c.held.re},
+          {"held_im", c.held.im},
+          {"mean_to_end_re", c.mean_to_end.re},
+          {"mean_to_end_im", c.mean_to_end.im}};
+}
+
+class ControllerService {
+ public:
+  explicit ControllerService(const Settings& settings)
+      : controller_(controller_configuration(settings)),
+        bus_(settings.unit.domain, settings.dds.interfaces, "weakgrid-controller"),
+        announcer_(bus_, settings, "controller", constants(controller_)),
+        modulations_(bus_, settings.unit.number),
+        reference_reader_(bus_, settings.unit.number, [this](const Reference& r, WriterId) { keep(r); }),
+        measurement_reader_(bus_, settings.unit.number,
+                            [this](const Measurement& m, WriterId w) { answer(m, w); }) {}
+
+  void serve(StopSignal& stop) {
+    while (!stop.wait(std::chrono::milliseconds(5))) announcer_.say(health());
+    announcer_.say(health());
+    spdlog::info("stopped at step {}", step_.load());
+  }
+
+ private:
+  // On a thread of the bus: references come here and wait for the next sample.
+  void keep(const Reference& reference) {
+    if (!references_.put(reference)) refused_references_.fetch_add(1, std::memory_order_relaxed);
+    else newest_heard_.store(reference.id, std::memory_order_release);
+  }
+
+  // On the thread of the bus that brings the samples: the whole hot path of this process.
+  void answer(const Measurement& measurement, WriterId writer) {
+    switch (one_plant_.admit(writer, measurement_reader_)) {
+      case OneWriter::Verdict::refused: foreign_.fetch_add(1, std::memory_order_relaxed); return;
+      case OneWriter::Verdict::changed: controller_.reset(); break;
+      case OneWriter::Verdict::known: break;
+    }
+    while (const auto reference = references_.take())
+      if (!controller_.accept(*reference)) refused_references_.fetch_add(1, std::memory_order_relaxed);
+    const Modulation modulation = controller_.step(measurement);
+    if (modulation.step != measurement.step) {
+      stale_.fetch_add(1, std::memory_order_relaxed);
+      return;
+    }
+    if (!modulations_.write(modulation)) unsent_.fetch_add(1, std::memory_order_relaxed);
+    if (measurement.step == step_.load(std::memory_order_relaxed) && running_) return;  // asked again
+    step_.store(measurement.step, std::memory_order_relaxed);
+    running_.store(true, std::memory_order_relaxed);
+    count(modulation.status);
+  }
+
+  void count(std::uint32_t status) noexcept {
+    status_.store(status, std::memory_order_relaxed);
+    if (status == 0) return;
+    for (std::size_t bit = 0; bit < counts_.size(); ++bit)
+      if ((status >> bit & 1u) != 0) counts_[bit].fetch_add(1, std::memory_order_relaxed);
+  }
+
+  Health health() {
+    Health health;
+    const std::uint32_t status = status_;
+    const bool running = running_;
+    health.state = running ? ServiceState::running : ServiceState::starting;
+    health.step = step_;
+    health.reference_id = newest_heard_.load(std::memory_order_acquire);
+    if (!running) health.text = "waits for a plant";
+    else if ((status & wrong_timing) != 0) health.text = "the plant's period, delay, hold or sampling is not mine";
+    else if ((status & bad_measurement) != 0) health.text = "bad measurement";
+    if (health.text != logged_ && (status & (wrong_timing | bad_measurement)) != 0) spdlog::error("{}", health.text);
+    logged_ = health.text;
+    constexpr const char* names[] = {"saturated", "bad_measurement", "low_voltage", "gap", "wrong_timing", "started"};
+    for (std::size_t bit = 0; bit < counts_.size(); ++bit) health.counters.push_back({names[bit], counts_[bit]});
+    health.counters.push_back({"stale", stale_});
+    health.counters.push_back({"unsent", unsent_});
+    health.counters.push_back({"refused_references", refused_references_});
+    health.counters.push_back({"foreign_measurements", foreign_});
+    health.counters.push_back({"malformed", measurement_reader_.malformed() + reference_reader_.malformed()});
+    return health;
+  }
+
+  Controller controller_;
+  OneWriter one_plant_;
+  Mailbox<Reference, 16> references_;
+  std::atomic<bool> running_{false};
+  std::atomic<std::uint32_t> status_{0}, newest_heard_{0};
+  std::atomic<std::uint64_t> step_{0}, stale_{0}, unsent_{0}, foreign_{0}, refused_references_{0};
+  std::array<std::atomic<std::uint64_t>, 6> counts_{};
+  std::string logged_;
+
+  Bus bus_;
+  Announcer announcer_;
+  Writer<Modulation> modulations_;
+  Reader<Reference> reference_reader_;
+  Reader<Measurement> measurement_reader_;
+};
+
+}  // namespace
+}  // namespace weakgrid
+
+int main(int argc, char** argv) {
+  using namespace weakgrid;
+  return run_service(argc, argv, "weakgrid-controller",
+                     "Answers each sample of its unit's plant with a modulation: the filtered flatness law.", {},
+                     [](const Settings& settings, StopSignal& stop) { ControllerService(settings).serve(stop); });
+}

@@ -1,0 +1,217 @@
+// weakgrid-plant: the emulated unit on the bus, in lockstep with its controller.
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <atomic>
+#include <limits>
+#include <mutex>
+#include <thread>
+
+#include "plant/emulator.hpp"
+#include "services/modulation_digest.hpp"
+#include "services/runtime/announcer.hpp"
+#include "services/runtime/mailbox.hpp"
+#include "services/runtime/program.hpp"
+#include "services/runtime/semaphore.hpp"
+
+namespace weakgrid {
+namespace {
+
+class PlantService {
+ public:
+  PlantService(const Settings& settings, std::uint64_t until)
+      : unit_(settings.unit.number),
+        patience_(static_cast<std::int64_t>(settings.plant.patience_s * 1e9)),
+        emulator_(emulator_configuration(settings), events(settings)),
+        until_(until),
+        bus_(settings.unit.domain, settings.dds.interfaces, "weakgrid-plant"),
+        announcer_(bus_, settings, "plant", {}),
+        measurements_(bus_, unit_),
+        modulation_reader_(bus_, unit_, [this](const Modulation& m, WriterId w) { take(m, w); }),
+        reference_reader_(bus_, unit_, [this](const Reference& r, WriterId) { keep(references_, r); }),
+        operation_reader_(bus_, unit_, [this](const Operation& o, WriterId) { keep(operations_, o); }) {
+    publish();
+  }
+
+  void serve(StopSignal& stop) {
+    std::thread loop([this] { run(); });
+    // A controller's answer within 5 ms of a change is what whoever waits for an acknowledgement sees.
+    while (!stop.wait(std::chrono::milliseconds(5))) announcer_.say(health());
+    stopping_ = true;
+    wake_.post();
+    loop.join();
+    announcer_.say(health());
+    spdlog::info("stopped at step {}", emulator_.step());
+  }
+
+ private:
+  static constexpr std::chrono::milliseconds resend_after{20};
+
+  // On threads of the bus.
+  void take(const Modulation& modulation, WriterId writer) {
+    if (one_controller_.admit(writer, modulation_reader_) == OneWriter::Verdict::refused) {
+      foreign_.fetch_add(1, std::memory_order_relaxed);
+      return;
+    }
+    keep(modulations_, modulation);
+  }
+  template <class Message, std::size_t n>
+  void keep(Mailbox<Message, n>& box, const Message& message) {
+    if (!box.put(message)) overflow_.fetch_add(1, std::memory_order_relaxed);
+    wake_.post();
+  }
+
+  // On the loop thread.
+  void run() {
+    while (!stopping_) {
+      hear();
+      if (emulator_.step() >= until_) {
+        pause();
+        continue;
+      }
+      const std::optional<Modulation> modulation = exchange(emulator_.sample());
+      if (stopping_) break;
+      if (modulation) digest_.add(unit_, *modulation);
+      emulator_.advance(modulation ? std::optional(modulation->mu) : std::nullopt);
+      publish();
+    }
+  }
+
+  // Sends the sample until its answer is there: best effort loses a packet now and then, lockstep must not.
+  // None: patience is over. Until the first answer there is no hurry.
+  std::optional<Modulation> exchange(const Measurement& measurement) {
+    const bool patient = state_ == ServiceState::starting;
+    const auto patience = controller_is_lost_ ? resend_after : patience_;
+    for (std::chrono::nanoseconds waited{0}; patient || waited < patience; waited += resend_after) {
+      if (waited.count() > 0 && !patient) resends_.fetch_add(1, std::memory_order_relaxed);
+      if (measurements_.matched() > 0 && modulation_reader_.matched() > 0)
+        (void)measurements_.write(measurement);  // not sent is as good as lost: sent again
+      const timespec resend_at = monotonic_after(resend_after);
+      while (wake_.wait_until(resend_at)) {
+        if (stopping_) return std::nullopt;
+        while (const auto modulation = modulations_.take()) {
+          if (modulation->step != measurement.step) continue;
+          if (modulation->period_ns != static_cast<std::uint32_t>(measurement.timing.period_ns)) {
+            foreign_.fetch_add(1, std::memory_order_relaxed);
+            continue;
+          }
+          if ((modulation->status & ControllerStatus::saturated) != 0) saturated_.fetch_add(1, std::memory_order_relaxed);
+          controller_is_lost_ = false;
+          state_ = ServiceState::running;
+          return modulation;
+        }
+      }
+    }
+    controller_is_lost_ = true;
+    return std::nullopt;
+  }
+
+  // References and operations that have come.
+  void hear() {
+    while (const auto reference = references_.take())
+      if (!emulator_.accept(*reference)) refused_references_.fetch_add(1, std::memory_order_relaxed);
+    while (const auto operation = operations_.take()) {
+      if (operation->kind == OperationKind::advance) until_ = operation->until_step;
+      else emulator_.reset_trip();
+    }
+    publish();
+  }
+
+  void pause() {
+    {
+      const std::lock_guard lock(digest_mutex_);
+      if (digest_text_.empty()) digest_text_ = digest_.hex();
+    }
+    const ServiceState before = state_;
+    state_ = ServiceState::waiting;
+    while (!stopping_ && emulator_.step() >= until_) {
+      wake_.wait();
+      hear();
+    }
+    state_ = before;
+    const std::lock_guard lock(digest_mutex_);
+    digest_text_.clear();
+  }
+
+  // For the health thread.
+  void publish() noexcept {
+    step_.store(emulator_.step(), std::memory_order_relaxed);
+    trip_.store(emulator_.trip(), std::memory_order_relaxed);
+    trip_step_.store(emulator_.trip_step(), std::memory_order_relaxed);
+    reference_id_.store(emulator_.newest_reference_id(), std::memory_order_relaxed);
+    holds_.store(emulator_.counters().holds, std::memory_order_relaxed);
+    refused_modulations_.store(emulator_.counters().refused, std::memory_order_relaxed);
+  }
+
+  Health health() {
+    Health health;
+    health.state = state_;
+    health.step = step_;
+    health.reference_id = reference_id_;
+    const Trip trip = trip_;
+    if (trip != Trip::none) {
+      if (health.state == ServiceState::running) health.state = ServiceState::blocked_by_trip;
+      health.text = fmt::format("tripped: {} at step {}", name(trip), trip_step_.load());
+      if (trip != logged_trip_) spdlog::error("{}", health.text);
+    } else if (health.state == ServiceState::starting) {
+      health.text = "waits for a controller";
+    }
+    logged_trip_ = trip;
+    const std::lock_guard lock(digest_mutex_);
+    health.digest = digest_text_;
+    health.counters = {{"holds", holds_},
+                       {"resends", resends_},
+                       {"saturated", saturated_},
+                       {"refused_modulations", refused_modulations_},
+                       {"refused_references", refused_references_},
+                       {"foreign_modulations", foreign_},
+                       {"malformed", modulation_reader_.malformed() + reference_reader_.malformed() +
+                                         operation_reader_.malformed()},
+                       {"overflow", overflow_},
+                       {"tripped", trip == Trip::none ? 0u : 1u}};
+    return health;
+  }
+
+  const std::uint32_t unit_;
+  const std::chrono::nanoseconds patience_;
+  Emulator emulator_;
+  ModulationDigest digest_;
+  std::uint64_t until_;
+  bool controller_is_lost_ = false;
+  Trip logged_trip_ = Trip::none;
+
+  Semaphore wake_;
+  std::atomic<bool> stopping_{false};
+  std::atomic<ServiceState> state_{ServiceState::starting};
+  std::atomic<Trip> trip_{Trip::none};
+  std::atomic<std::uint64_t> step_{0}, trip_step_{0}, holds_{0}, resends_{0}, saturated_{0};
+  std::atomic<std::uint64_t> refused_modulations_{0}, refused_references_{0}, foreign_{0}, overflow_{0};
+  std::atomic<std::uint32_t> reference_id_{0};
+  std::mutex digest_mutex_;
+  std::string digest_text_;
+  OneWriter one_controller_;
+  Mailbox<Modulation, 8> modulations_;
+  Mailbox<Reference, 16> references_;
+  Mailbox<Operation, 16> operations_;
+
+  Bus bus_;
+  Announcer announcer_;
+  Writer<Measurement> measurements_;
+  Reader<Modulation> modulation_reader_;
+  Reader<Reference> reference_reader_;
+  Reader<Operation> operation_reader_;
+};
+
+}  // namespace
+}  // namespace weakgrid
+
+int main(int argc, char** argv) {
+  using namespace weakgrid;
+  std::optional<std::uint64_t> until;
+  return run_service(argc, argv, "weakgrid-plant",
+                     "Emulates converter, DC link, source and grid of one unit, in lockstep with its controller.",
+                     {{"--until", "wait at this step for an operation; default: go on for ever", &until}},
+                     [&](const Settings& settings, StopSignal& stop) {
+                       PlantService(settings, until.value_or(std::numeric_limits<std::uint64_t>::max())).serve(stop);
+                     });
+}

@@ -1,0 +1,58 @@
+// Announcer: see the header.
+#include "services/runtime/announcer.hpp"
+
+#include <random>
+
+namespace weakgrid {
+
+std::uint64_t random_identity() {
+  std::random_device device;
+  std::uint64_t identity = 0;
+  while (identity == 0) identity = (std::uint64_t{device()} << 32) | device();
+  return identity;
+}
+
+std::int64_t wall_time_ns() {
+  return std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::system_clock::now().time_since_epoch())
+      .count();
+}
+
+std::string build_text() {
+  return "weakgrid " WEAKGRID_VERSION ", " WEAKGRID_COMPILER;
+}
+
+Announcer::Announcer(Bus& bus, const Settings& settings, const std::string& service,
+                     std::vector<Constant> constants)
+    : health_(bus, settings.unit.number),
+      manifest_(bus, settings.unit.number),
+      service_(service),
+      instance_(random_identity()) {
+  const Manifest manifest{.service = service_,
+                          .instance = instance_,
+                          .build = build_text(),
+                          .settings = to_toml(settings),
+                          .constants = std::move(constants)};
+  if (!manifest_.write(manifest)) throw BusError("DDS: the manifest cannot be written");
+}
+
+Announcer::~Announcer() {
+  Health goodbye = last_;
+  goodbye.state = ServiceState::stopped;
+  goodbye.text = "stopped";
+  say(goodbye);
+}
+
+void Announcer::say(Health health) noexcept {
+  const auto now = std::chrono::steady_clock::now();
+  const bool changed = health.state != last_.state || health.reference_id != last_.reference_id ||
+                       health.text != last_.text || health.digest != last_.digest;
+  if (!changed && now - said_ < std::chrono::seconds(1)) return;
+  health.service = service_;
+  health.instance = instance_;
+  health.wall_time_ns = wall_time_ns();
+  if (!health_.write(health)) return;  // said again at the next call
+  last_ = health;
+  said_ = now;
+}
+
+}  // namespace weakgrid

@@ -1,0 +1,41 @@
+// What a service says of itself: its health at each change and at least once a second, its manifest once.
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "services/runtime/bus.hpp"
+#include "services/runtime/messages.hpp"
+#include "services/runtime/settings.hpp"
+
+namespace weakgrid {
+
+/// A random number, not 0, that tells one start of a program from another.
+std::uint64_t random_identity();
+/// CLOCK_REALTIME, ns since 1970.
+std::int64_t wall_time_ns();
+/// Version and compiler of this program.
+std::string build_text();
+
+class Announcer {
+ public:
+  Announcer(Bus& bus, const Settings& settings, const std::string& service, std::vector<Constant> constants);
+  /// Says goodbye.
+  ~Announcer();
+
+  /// Fills in service, instance and time; writes what differs from the last word in more than step and counters,
+  /// or is a second old.
+  void say(Health health) noexcept;
+
+ private:
+  Writer<Health> health_;
+  Writer<Manifest> manifest_;
+  std::string service_;
+  std::uint64_t instance_;
+  Health last_;
+  std::chrono::steady_clock::time_point said_{};
+};
+
+}  // namespace weakgrid

@@ -1,0 +1,242 @@
+// Bus over Fast DDS 2.9. Newer majors differ here and nowhere else (fastdds.md, section 7).
+#include "services/runtime/bus.hpp"
+
+#include <algorithm>
+#include <cstring>
+#include <fastdds/dds/domain/DomainParticipant.hpp>
+#include <fastdds/dds/domain/DomainParticipantFactory.hpp>
+#include <fastdds/dds/publisher/DataWriter.hpp>
+#include <fastdds/dds/publisher/DataWriterListener.hpp>
+#include <fastdds/dds/publisher/Publisher.hpp>
+#include <fastdds/dds/subscriber/DataReader.hpp>
+#include <fastdds/dds/subscriber/DataReaderListener.hpp>
+#include <fastdds/dds/subscriber/SampleInfo.hpp>
+#include <fastdds/dds/subscriber/Subscriber.hpp>
+#include <fastdds/dds/topic/TypeSupport.hpp>
+#include <fastdds/rtps/transport/UDPv4TransportDescriptor.h>
+
+#include "services/runtime/wire.hpp"
+
+namespace weakgrid {
+
+namespace dds = eprosima::fastdds::dds;
+using eprosima::fastrtps::Duration_t;
+using eprosima::fastrtps::types::ReturnCode_t;
+
+namespace {
+
+// Units of one topic that one process may meet; more are refused by the middleware.
+constexpr int max_units = 64;
+
+WriterId writer_id(const dds::InstanceHandle_t& handle) {
+  // FNV-1a over the GUID.
+  WriterId hash = 14695981039346656037ull;
+  for (int n = 0; n < 16; ++n) hash = (hash ^ handle.value[n]) * 1099511628211ull;
+  return hash == 0 ? 1 : hash;
+}
+
+// What a loop, a command and a state topic ask of DDS; the same for both ends.
+template <class Qos>
+void apply(QosClass qos_class, bool is_reader, Qos& qos) {
+  qos.data_sharing().off();
+  switch (qos_class) {
+    case QosClass::sample:
+      // Best effort: a late sample is worthless, and reliability costs allocations at each write.
+      qos.reliability().kind = dds::BEST_EFFORT_RELIABILITY_QOS;
+      qos.history().kind = dds::KEEP_LAST_HISTORY_QOS;
+      qos.history().depth = is_reader ? 8 : 1;
+      break;
+    case QosClass::command:
+      qos.reliability().kind = dds::RELIABLE_RELIABILITY_QOS;
+      qos.history().kind = dds::KEEP_ALL_HISTORY_QOS;
+      break;
+    case QosClass::state:
+      qos.reliability().kind = dds::RELIABLE_RELIABILITY_QOS;
+      qos.durability().kind = dds::TRANSIENT_LOCAL_DURABILITY_QOS;
+      qos.history().kind = dds::KEEP_LAST_HISTORY_QOS;
+      qos.history().depth = 1;
+      break;
+  }
+  const int per_instance = qos_class == QosClass::command ? 64 : qos.history().depth;
+  qos.resource_limits().max_instances = max_units;
+  qos.resource_limits().max_samples_per_instance = per_instance;
+  qos.resource_limits().max_samples = max_units * per_instance;
+  qos.resource_limits().allocated_samples = per_instance;
+  qos.endpoint().history_memory_policy =
+      qos_class == QosClass::sample ? eprosima::fastrtps::rtps::PREALLOCATED_MEMORY_MODE
+                                    : eprosima::fastrtps::rtps::PREALLOCATED_WITH_REALLOC_MEMORY_MODE;
+}
+
+template <class Pointer>
+Pointer* made(Pointer* entity, const std::string& what) {
+  if (entity == nullptr) throw BusError("DDS: " + what + " cannot be made");
+  return entity;
+}
+
+}  // namespace
+
+struct Bus::Impl {
+  dds::DomainParticipant* participant = nullptr;
+  dds::Publisher* publisher = nullptr;
+  dds::Subscriber* subscriber = nullptr;
+
+  template <class Message>
+  dds::Topic* topic() {
+    using T = Topic<Message>;
+    if (dds::TopicDescription* known = participant->lookup_topicdescription(T::name))
+      return static_cast<dds::Topic*>(known);
+    dds::TypeSupport type(new typename T::Type());
+    if (type.register_type(participant) != ReturnCode_t::RETCODE_OK)
+      throw BusError(std::string("DDS: type of ") + T::name + " cannot be registered");
+    return made(participant->create_topic(T::name, type.get_type_name(), dds::TOPIC_QOS_DEFAULT), T::name);
+  }
+};
+
+Bus::Bus(std::uint32_t domain, const std::vector<std::string>& interfaces, const std::string& name)
+    : impl_(std::make_unique<Impl>()) {
+  // Fast DDS prints to stdout by default; a refused socket buffer size is all it would have to say.
+  dds::Log::SetVerbosity(dds::Log::Kind::Error);
+  dds::DomainParticipantQos qos;
+  qos.name(name);
+  auto transport = std::make_shared<eprosima::fastdds::rtps::UDPv4TransportDescriptor>();
+  transport->interfaceWhiteList = interfaces;
+  qos.transport().use_builtin_transports = false;
+  qos.transport().user_transports.push_back(transport);
+  // Long enough that a stuttering machine loses nobody; a killed peer is gone after it.
+  qos.wire_protocol().builtin.discovery_config.leaseDuration = Duration_t(5, 0);
+  qos.wire_protocol().builtin.discovery_config.leaseDuration_announcementperiod = Duration_t(1, 0);
+  auto* factory = dds::DomainParticipantFactory::get_instance();
+  impl_->participant = made(factory->create_participant(domain, qos),
+                            "participant in domain " + std::to_string(domain));
+  impl_->publisher = made(impl_->participant->create_publisher(dds::PUBLISHER_QOS_DEFAULT), "publisher");
+  impl_->subscriber = made(impl_->participant->create_subscriber(dds::SUBSCRIBER_QOS_DEFAULT), "subscriber");
+}
+
+Bus::~Bus() {
+  impl_->participant->delete_contained_entities();
+  dds::DomainParticipantFactory::get_instance()->delete_participant(impl_->participant);
+}
+
+template <class Message>
+struct Writer<Message>::Impl : dds::DataWriterListener {
+  dds::Publisher* publisher;
+  dds::DataWriter* writer = nullptr;
+  typename Topic<Message>::Wire wire;
+  std::atomic<int> matched{0};
+
+  void on_publication_matched(dds::DataWriter*, const dds::PublicationMatchedStatus& status) override {
+    matched = status.current_count;
+  }
+};
+
+template <class Message>
+Writer<Message>::Writer(Bus& bus, std::uint32_t unit) : impl_(std::make_unique<Impl>()) {
+  impl_->publisher = bus.impl().publisher;
+  impl_->wire.unit(unit);
+  dds::DataWriterQos qos;
+  apply(Topic<Message>::qos, false, qos);
+  qos.publish_mode().kind = dds::SYNCHRONOUS_PUBLISH_MODE;
+  qos.reliable_writer_qos().times.heartbeatPeriod = Duration_t(0, 100'000'000);
+  impl_->writer = made(impl_->publisher->create_datawriter(bus.impl().topic<Message>(), qos, impl_.get(),
+                                                           dds::StatusMask::publication_matched()),
+                       std::string("writer of ") + Topic<Message>::name);
+}
+
+template <class Message>
+Writer<Message>::~Writer() {
+  impl_->publisher->delete_datawriter(impl_->writer);
+}
+
+template <class Message>
+bool Writer<Message>::write(const Message& message) noexcept {
+  encode(message, impl_->wire);
+  return impl_->writer->write(&impl_->wire);
+}
+
+template <class Message>
+int Writer<Message>::matched() const noexcept {
+  return impl_->matched;
+}
+
+template <class Message>
+struct Reader<Message>::Impl : dds::DataReaderListener {
+  dds::Subscriber* subscriber;
+  dds::DataReader* reader = nullptr;
+  std::uint32_t unit;
+  Take take;
+  typename Topic<Message>::Wire wire;
+  Message message;
+  dds::SampleInfo info;
+  std::array<std::atomic<WriterId>, 16> alive{};
+  std::atomic<int> matched{0};
+  std::atomic<std::uint64_t> malformed{0};
+
+  void on_data_available(dds::DataReader* from) override {
+    while (from->take_next_sample(&wire, &info) == ReturnCode_t::RETCODE_OK) {
+      if (!info.valid_data || wire.unit() != unit) continue;
+      if (decode(wire, message)) take(message, writer_id(info.publication_handle));
+      else malformed.fetch_add(1, std::memory_order_relaxed);
+    }
+  }
+
+  void on_subscription_matched(dds::DataReader*, const dds::SubscriptionMatchedStatus& status) override {
+    const WriterId writer = writer_id(status.last_publication_handle);
+    const WriterId from = status.current_count_change > 0 ? 0 : writer;
+    const WriterId to = status.current_count_change > 0 ? writer : 0;
+    for (auto& slot : alive) {
+      WriterId expected = from;
+      if (slot.compare_exchange_strong(expected, to)) break;
+    }
+    matched = status.current_count;
+  }
+};
+
+template <class Message>
+Reader<Message>::Reader(Bus& bus, std::uint32_t unit, Take take) : impl_(std::make_unique<Impl>()) {
+  impl_->subscriber = bus.impl().subscriber;
+  impl_->unit = unit;
+  impl_->take = std::move(take);
+  dds::DataReaderQos qos;
+  apply(Topic<Message>::qos, true, qos);
+  impl_->reader = made(
+      impl_->subscriber->create_datareader(bus.impl().topic<Message>(), qos, impl_.get(),
+                                           dds::StatusMask::data_available() << dds::StatusMask::subscription_matched()),
+      std::string("reader of ") + Topic<Message>::name);
+}
+
+template <class Message>
+Reader<Message>::~Reader() {
+  impl_->reader->set_listener(nullptr);
+  impl_->subscriber->delete_datareader(impl_->reader);
+}
+
+template <class Message>
+int Reader<Message>::matched() const noexcept {
+  return impl_->matched;
+}
+
+template <class Message>
+bool Reader<Message>::is_alive(WriterId writer) const noexcept {
+  return std::any_of(impl_->alive.begin(), impl_->alive.end(),
+                     [writer](const auto& slot) { return slot.load(std::memory_order_relaxed) == writer; });
+}
+
+template <class Message>
+std::uint64_t Reader<Message>::malformed() const noexcept {
+  return impl_->malformed.load(std::memory_order_relaxed);
+}
+
+#define WEAKGRID_INSTANTIATE(Message) \
+  template class Writer<Message>;     \
+  template class Reader<Message>;
+WEAKGRID_INSTANTIATE(Measurement)
+WEAKGRID_INSTANTIATE(Modulation)
+WEAKGRID_INSTANTIATE(Request)
+WEAKGRID_INSTANTIATE(DecisionMessage)
+WEAKGRID_INSTANTIATE(Reference)
+WEAKGRID_INSTANTIATE(Operation)
+WEAKGRID_INSTANTIATE(Health)
+WEAKGRID_INSTANTIATE(Manifest)
+#undef WEAKGRID_INSTANTIATE
+
+}  // namespace weakgrid

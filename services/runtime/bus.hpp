@@ -1,0 +1,93 @@
+// Typed topics over one DDS participant: the only door to Fast DDS, and the one place that knows its version.
+#pragma once
+
+#include <array>
+#include <atomic>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+namespace weakgrid {
+
+/// The world failed at start-up: a participant, topic, reader or writer cannot be made.
+struct BusError : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
+
+/// Who wrote a sample: a hash of the writer's GUID, never 0.
+using WriterId = std::uint64_t;
+
+/// One DDS participant. UDPv4 alone, on the interfaces given; data-sharing off (fastdds.md, decision 1).
+/// Its threads have the signal mask and scheduling of the thread that makes it. Throws BusError.
+class Bus {
+ public:
+  Bus(std::uint32_t domain, const std::vector<std::string>& interfaces, const std::string& name);
+  ~Bus();
+  Bus(const Bus&) = delete;
+  Bus& operator=(const Bus&) = delete;
+
+  struct Impl;
+  Impl& impl() { return *impl_; }
+
+ private:
+  std::unique_ptr<Impl> impl_;
+};
+
+/// Writes one unit's messages of one topic. From one thread at a time.
+template <class Message>
+class Writer {
+ public:
+  Writer(Bus& bus, std::uint32_t unit);
+  ~Writer();
+  /// False: not sent. For a sample topic the next one replaces it; a command or state has no room left.
+  [[nodiscard]] bool write(const Message& message) noexcept;
+  /// Readers matched now.
+  int matched() const noexcept;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+/// Takes one unit's messages of one topic as they come, on a thread of the bus, one at a time.
+template <class Message>
+class Reader {
+ public:
+  using Take = std::function<void(const Message&, WriterId)>;
+  Reader(Bus& bus, std::uint32_t unit, Take take);
+  /// No call of take is under way or comes after this.
+  ~Reader();
+  /// Writers matched now.
+  int matched() const noexcept;
+  /// This writer is matched now.
+  bool is_alive(WriterId writer) const noexcept;
+  /// Samples that no correct peer sends.
+  std::uint64_t malformed() const noexcept;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+/// Listens to one writer as long as it lives, so that two are never mixed in.
+class OneWriter {
+ public:
+  enum class Verdict : std::uint8_t { known, changed, refused };
+
+  template <class Message>
+  Verdict admit(WriterId writer, const Reader<Message>& reader) noexcept {
+    if (writer == writer_) return Verdict::known;
+    if (writer_ != 0 && reader.is_alive(writer_)) return Verdict::refused;
+    const Verdict verdict = writer_ == 0 ? Verdict::known : Verdict::changed;
+    writer_ = writer;
+    return verdict;
+  }
+
+ private:
+  WriterId writer_ = 0;
+};
+
+}  // namespace weakgrid

@@ -1,0 +1,65 @@
+// What services tell each other besides the pure rooms' values: decisions in words, operations, health, manifest.
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "gateway/arbiter.hpp"
+
+namespace weakgrid {
+
+/// A decision with the line for a person.
+struct DecisionMessage {
+  Decision decision;
+  std::string text;  // at most 255 bytes
+};
+
+enum class OperationKind : std::uint8_t { advance, reset_trip };
+
+struct Operation {
+  std::uint64_t client = 0;
+  std::uint32_t id = 0;
+  OperationKind kind = OperationKind::advance;
+  std::uint64_t until_step = 0;
+};
+
+enum class ServiceState : std::uint8_t { starting, running, waiting, blocked_by_trip, stopped };
+
+constexpr const char* name(ServiceState state) noexcept {
+  constexpr const char* names[] = {"starting", "running", "waiting", "blocked by trip", "stopped"};
+  return names[static_cast<std::size_t>(state)];
+}
+
+struct Counter {
+  std::string name;  // at most 31 bytes
+  std::uint64_t value = 0;
+  friend bool operator==(const Counter&, const Counter&) = default;
+};
+
+struct Health {
+  std::string service;  // at most 15 bytes
+  std::uint64_t instance = 0;
+  ServiceState state = ServiceState::starting;
+  std::uint64_t step = 0;
+  std::uint32_t reference_id = 0;
+  std::int64_t wall_time_ns = 0;
+  std::vector<Counter> counters;  // at most 32
+  std::string digest;
+  std::string text;  // at most 255 bytes
+};
+
+struct Constant {
+  std::string name;  // at most 31 bytes
+  double value = 0.0;
+};
+
+struct Manifest {
+  std::string service;
+  std::uint64_t instance = 0;
+  std::string build;
+  std::string settings;  // at most 8191 bytes
+  std::vector<Constant> constants;  // at most 64
+};
+
+}  // namespace weakgrid

@@ -1,0 +1,117 @@
+// Settings of one unit and, if the file has one, its scenario: one TOML file that every program reads.
+// Names, units and ranges: services/README.md. An unknown key is an error.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "controller/controller.hpp"
+#include "gateway/arbiter.hpp"
+#include "plant/emulator.hpp"
+
+namespace weakgrid {
+
+/// What is wrong with a file: "file:line:column: key: what; what is allowed".
+struct SettingsError : std::runtime_error {
+  using std::runtime_error::runtime_error;
+};
+
+/// As written in the file: words and units of the wire, defaults here.
+struct Settings {
+  struct {
+    std::uint32_t number = 1;
+    std::uint32_t domain = 0;
+  } unit;
+  struct {
+    double frequency_hz = 50.0;
+    double filter_reactance_pu = 0.02;
+    double dc_capacitance_s = 4.8e-4;
+    double dc_voltage = 1.8384776310850235;  // 1.3·√2
+  } converter;
+  struct {
+    std::uint32_t period_us = 100;
+    std::uint32_t delay_steps = 1;
+    Hold hold = Hold::turning;
+    Sampling sampling = Sampling::instantaneous;
+  } timing;
+  struct GridSettings {
+    double resistance = 0.0;
+    double reactance = 0.0;
+    double voltage = 1.0;
+  } grid;
+  struct {
+    std::uint32_t substeps = 10;
+    double patience_s = 5.0;
+  } plant;
+  struct {
+    double current_max = 2.0;
+    double dc_voltage_min = 1.2;
+    double dc_voltage_max = 2.6;
+    std::uint32_t holds_max = 20;
+  } protection;
+  struct {
+    Law law = Law::filtered;
+    std::vector<double> settling_times_s = {0.001, 0.0011, 0.020};
+    double notch_settling_time_s = 0.050;
+    double predictor_rho = 0.6;
+  } controller;
+  struct {
+    std::optional<double> grid_resistance, grid_reactance, grid_voltage;  // none: as in [grid]
+    double current_max = 1.0;
+    double pcc_voltage_min = 0.8;
+    double pcc_voltage_max = 1.2;
+    double dc_voltage_min = 1.5;
+    double dc_voltage_max = 2.4;
+    double ramp_s = 0.020;
+    std::uint32_t lead_steps = 50;
+  } gateway;
+  struct {
+    std::vector<std::string> interfaces = {"127.0.0.1"};
+  } dds;
+
+  struct TimedSetpoint {
+    double at_s = 0.0;
+    std::optional<double> active_power, reactive_power, dc_voltage;
+    double ramp_s = 0.0;
+  };
+  struct TimedEvent {
+    double at_s = 0.0;
+    Quantity quantity = Quantity::source_power;
+    double value = 0.0;
+    double ramp_s = 0.0;
+  };
+  struct Scenario {
+    std::string title;
+    double end_s = 0.0;
+    std::vector<TimedSetpoint> setpoints;  // in the order of at_s
+    std::vector<TimedEvent> events;        // in the order of at_s
+  };
+  std::optional<Scenario> scenario;
+};
+
+/// Throws SettingsError.
+Settings load_settings(const std::string& path);
+/// The same for a text; `name` stands for the file in errors.
+Settings parse_settings(const std::string& text, const std::string& name);
+/// All settings in force, as TOML; parse_settings gives them back exactly.
+std::string to_toml(const Settings& settings);
+
+Timing timing(const Settings& settings);
+Converter converter(const Settings& settings);
+Grid grid(const Settings& settings);
+EmulatorConfiguration emulator_configuration(const Settings& settings);
+ControllerConfiguration controller_configuration(const Settings& settings);
+Arbiter::Configuration arbiter_configuration(const Settings& settings);
+
+/// The step at or just after t seconds.
+std::uint64_t step_at(const Settings& settings, double t_s);
+/// The scenario's events in steps, in order; empty without a scenario.
+std::vector<Event> events(const Settings& settings);
+/// What `client` asks for at a timed setpoint; id counts from 1.
+Request request(const Settings& settings, const Settings::TimedSetpoint& setpoint, std::uint64_t client,
+                std::uint32_t id);
+
+}  // namespace weakgrid

@@ -1,0 +1,240 @@
+// Wire ↔ domain, field by field.
+#include "services/runtime/wire.hpp"
+
+#include <algorithm>
+
+namespace weakgrid {
+
+namespace {
+
+// The bits of the IDL and of the controller are the same by construction.
+static_assert(saturated == wire::SATURATED && bad_measurement == wire::BAD_MEASUREMENT &&
+              low_voltage == wire::LOW_VOLTAGE && gap == wire::GAP && wrong_timing == wire::WRONG_TIMING &&
+              started == wire::STARTED);
+static_assert(given_p == wire::GIVEN_ACTIVE_POWER && given_q == wire::GIVEN_REACTIVE_POWER &&
+              given_v_c == wire::GIVEN_DC_VOLTAGE);
+
+std::string cut(const std::string& text, std::size_t most) { return text.substr(0, most); }
+
+template <class To, class From>
+bool decode_enum(From in, To last, To& out) {
+  const auto value = static_cast<std::uint32_t>(in);
+  if (value > static_cast<std::uint32_t>(last)) return false;
+  out = static_cast<To>(value);
+  return true;
+}
+
+}  // namespace
+
+void encode(const Measurement& m, wire::Measurement& out) {
+  std::uint32_t flags = 0;
+  if (m.timing.hold == Hold::still) flags |= wire::HOLD_STILL;
+  if (m.timing.sampling == Sampling::period_mean) flags |= wire::PERIOD_MEAN;
+  if (m.timing.delay == 1) flags |= wire::DELAY_ONE;
+  if (m.blocked) flags |= wire::BLOCKED;
+  out.period_ns(static_cast<std::uint32_t>(m.timing.period_ns));
+  out.flags(flags);
+  out.reference_id(m.reference_id);
+  out.step(m.step);
+  out.time_ns(static_cast<std::int64_t>(m.step * static_cast<std::uint64_t>(m.timing.period_ns)));
+  out.pcc_voltage_alpha(m.v_p.re);
+  out.pcc_voltage_beta(m.v_p.im);
+  out.current_alpha(m.i.re);
+  out.current_beta(m.i.im);
+  out.dc_voltage(m.v_c);
+  out.source_power(m.p_i);
+}
+
+bool decode(const wire::Measurement& in, Measurement& m) {
+  constexpr std::uint32_t known = wire::HOLD_STILL | wire::PERIOD_MEAN | wire::DELAY_ONE | wire::BLOCKED;
+  const std::uint32_t flags = in.flags();
+  if ((flags & ~known) != 0 || static_cast<std::uint64_t>(in.time_ns()) != in.step() * in.period_ns()) return false;
+  m.step = in.step();
+  m.timing.period_ns = in.period_ns();
+  m.timing.delay = (flags & wire::DELAY_ONE) != 0 ? 1 : 0;
+  m.timing.hold = (flags & wire::HOLD_STILL) != 0 ? Hold::still : Hold::turning;
+  m.timing.sampling = (flags & wire::PERIOD_MEAN) != 0 ? Sampling::period_mean : Sampling::instantaneous;
+  m.reference_id = in.reference_id();
+  m.blocked = (flags & wire::BLOCKED) != 0;
+  m.v_p = {in.pcc_voltage_alpha(), in.pcc_voltage_beta()};
+  m.i = {in.current_alpha(), in.current_beta()};
+  m.v_c = in.dc_voltage();
+  m.p_i = in.source_power();
+  return true;
+}
+
+void encode(const Modulation& m, wire::Modulation& out) {
+  out.period_ns(m.period_ns);
+  out.reference_id(m.reference_id);
+  out.status(m.status);
+  out.step(m.step);
+  out.modulation_alpha(m.mu.re);
+  out.modulation_beta(m.mu.im);
+}
+
+bool decode(const wire::Modulation& in, Modulation& m) {
+  m = {.step = in.step(),
+       .period_ns = in.period_ns(),
+       .reference_id = in.reference_id(),
+       .status = in.status(),
+       .mu = {in.modulation_alpha(), in.modulation_beta()}};
+  return true;
+}
+
+void encode(const Request& m, wire::SetpointRequest& out) {
+  out.given(m.given);
+  out.client(m.client);
+  out.id(m.id);
+  out.active_power(m.p);
+  out.reactive_power(m.q);
+  out.dc_voltage(m.v_c);
+  out.ramp_s(m.ramp_s);
+  out.effective_step(m.effective_step);
+}
+
+bool decode(const wire::SetpointRequest& in, Request& m) {
+  m = {.client = in.client(),
+       .id = in.id(),
+       .given = in.given(),
+       .p = in.active_power(),
+       .q = in.reactive_power(),
+       .v_c = in.dc_voltage(),
+       .ramp_s = in.ramp_s(),
+       .effective_step = in.effective_step()};
+  return true;
+}
+
+void encode(const DecisionMessage& m, wire::SetpointDecision& out) {
+  const Decision& d = m.decision;
+  const Reference reference = d.reference.value_or(Reference{});
+  out.id(d.id);
+  out.client(d.client);
+  out.verdict(static_cast<wire::Verdict>(d.verdict));
+  out.active_power(d.setpoint.p);
+  out.reactive_power(d.setpoint.q);
+  out.dc_voltage(d.setpoint.v_c);
+  out.reference_id(reference.id);
+  out.ramp_steps(reference.ramp_steps);
+  out.effective_step(reference.effective_step);
+  out.margins().clear();
+  for (const LimitMargin& margin : d.margins) {
+    wire::LimitMargin& item = out.margins().emplace_back();
+    item.limit(static_cast<wire::LimitName>(margin.limit));
+    item.enforced(margin.enforced);
+    item.margin(margin.margin);
+  }
+  out.text(cut(m.text, 255));
+}
+
+bool decode(const wire::SetpointDecision& in, DecisionMessage& m) {
+  Decision& d = m.decision;
+  d = {};
+  d.client = in.client();
+  d.id = in.id();
+  if (!decode_enum(in.verdict(), Verdict::unit_blocked, d.verdict)) return false;
+  d.setpoint = {in.active_power(), in.reactive_power(), in.dc_voltage()};
+  if (in.reference_id() != 0)
+    d.reference = Reference{.id = in.reference_id(),
+                            .p = d.setpoint.p,
+                            .q = d.setpoint.q,
+                            .v_c = d.setpoint.v_c,
+                            .effective_step = in.effective_step(),
+                            .ramp_steps = in.ramp_steps()};
+  if (in.margins().size() > limit_count) return false;
+  for (const wire::LimitMargin& item : in.margins()) {
+    LimitMargin margin{.enforced = item.enforced(), .margin = item.margin()};
+    if (!decode_enum(item.limit(), Limit::dc_voltage_max, margin.limit)) return false;
+    d.margins.add(margin);
+  }
+  m.text = in.text().c_str();
+  return true;
+}
+
+void encode(const Reference& m, wire::Reference& out) {
+  out.id(m.id);
+  out.ramp_steps(m.ramp_steps);
+  out.active_power(m.p);
+  out.reactive_power(m.q);
+  out.dc_voltage(m.v_c);
+  out.effective_step(m.effective_step);
+}
+
+bool decode(const wire::Reference& in, Reference& m) {
+  m = {.id = in.id(),
+       .p = in.active_power(),
+       .q = in.reactive_power(),
+       .v_c = in.dc_voltage(),
+       .effective_step = in.effective_step(),
+       .ramp_steps = in.ramp_steps()};
+  return true;
+}
+
+void encode(const Operation& m, wire::Operation& out) {
+  out.client(m.client);
+  out.id(m.id);
+  out.kind(static_cast<wire::OperationKind>(m.kind));
+  out.until_step(m.until_step);
+}
+
+bool decode(const wire::Operation& in, Operation& m) {
+  m.client = in.client();
+  m.id = in.id();
+  m.until_step = in.until_step();
+  return decode_enum(in.kind(), OperationKind::reset_trip, m.kind);
+}
+
+void encode(const Health& m, wire::Health& out) {
+  out.service(cut(m.service, 15));
+  out.instance(m.instance);
+  out.state(static_cast<wire::ServiceState>(m.state));
+  out.step(m.step);
+  out.reference_id(m.reference_id);
+  out.wall_time_ns(m.wall_time_ns);
+  out.counters().clear();
+  for (const Counter& counter : m.counters) {
+    wire::Counter& item = out.counters().emplace_back();
+    item.name(cut(counter.name, 31));
+    item.value(counter.value);
+  }
+  out.digest(cut(m.digest, 64));
+  out.text(cut(m.text, 255));
+}
+
+bool decode(const wire::Health& in, Health& m) {
+  m = {};
+  m.service = in.service().c_str();
+  m.instance = in.instance();
+  if (!decode_enum(in.state(), ServiceState::stopped, m.state)) return false;
+  m.step = in.step();
+  m.reference_id = in.reference_id();
+  m.wall_time_ns = in.wall_time_ns();
+  for (const wire::Counter& item : in.counters()) m.counters.push_back({item.name().c_str(), item.value()});
+  m.digest = in.digest().c_str();
+  m.text = in.text().c_str();
+  return true;
+}
+
+void encode(const Manifest& m, wire::Manifest& out) {
+  out.service(cut(m.service, 15));
+  out.instance(m.instance);
+  out.build(cut(m.build, 255));
+  out.settings(cut(m.settings, 8191));
+  out.constants().clear();
+  for (const Constant& constant : m.constants) {
+    wire::Constant& item = out.constants().emplace_back();
+    item.name(cut(constant.name, 31));
+    item.value(constant.value);
+  }
+}
+
+bool decode(const wire::Manifest& in, Manifest& m) {
+  m = {};
+  m.service = in.service().c_str();
+  m.instance = in.instance();
+  m.build = in.build().c_str();
+  m.settings = in.settings().c_str();
+  for (const wire::Constant& item : in.constants()) m.constants.push_back({item.name().c_str(), item.value()});
+  return true;
+}
+
+}  // namespace weakgrid
