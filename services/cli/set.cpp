@@ -14,7 +14,7 @@ namespace weakgrid {
 Command add_set(CLI::App& app) {
   struct Options {
     Where where;
-    Settings::TimedSetpoint setpoint;
+    TimedSetpoint setpoint;
     double timeout_s = 5.0;
     bool json = false;
   };

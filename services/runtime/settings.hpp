@@ -19,7 +19,28 @@ struct SettingsError : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-/// As written in the file: words and units of the wire, defaults here.
+/// Words and units of the wire, as written in the file.
+struct TimedSetpoint {
+  double at_s = 0.0;
+  std::optional<double> active_power, reactive_power, dc_voltage;
+  double ramp_s = 0.0;
+};
+
+struct TimedEvent {
+  double at_s = 0.0;
+  Quantity quantity = Quantity::source_power;
+  double value = 0.0;
+  double ramp_s = 0.0;
+};
+
+struct Scenario {
+  std::string title;
+  double end_s = 0.0;
+  std::vector<TimedSetpoint> setpoints;  // in the order of at_s
+  std::vector<TimedEvent> events;        // in the order of at_s
+};
+
+/// As written in the file; defaults here.
 struct Settings {
   struct {
     std::uint32_t number = 1;
@@ -72,23 +93,6 @@ struct Settings {
     std::vector<std::string> interfaces = {"127.0.0.1"};
   } dds;
 
-  struct TimedSetpoint {
-    double at_s = 0.0;
-    std::optional<double> active_power, reactive_power, dc_voltage;
-    double ramp_s = 0.0;
-  };
-  struct TimedEvent {
-    double at_s = 0.0;
-    Quantity quantity = Quantity::source_power;
-    double value = 0.0;
-    double ramp_s = 0.0;
-  };
-  struct Scenario {
-    std::string title;
-    double end_s = 0.0;
-    std::vector<TimedSetpoint> setpoints;  // in the order of at_s
-    std::vector<TimedEvent> events;        // in the order of at_s
-  };
   std::optional<Scenario> scenario;
 };
 
@@ -111,7 +115,7 @@ std::uint64_t step_at(const Settings& settings, double t_s);
 /// The scenario's events in steps, in order; empty without a scenario.
 std::vector<Event> events(const Settings& settings);
 /// What `client` asks for at a timed setpoint; id counts from 1.
-Request request(const Settings& settings, const Settings::TimedSetpoint& setpoint, std::uint64_t client,
+Request request(const Settings& settings, const TimedSetpoint& setpoint, std::uint64_t client,
                 std::uint32_t id);
 
 }  // namespace weakgrid
