@@ -17,7 +17,7 @@ struct ControllerConfiguration {
   Converter converter;
   Timing timing;
   Law law = Law::filtered;
-  SettlingTimes settling_times_s{0.001, 0.0011, 0.020};
+  SettlingTimes settling_times_s{0.001, 0.0011, 0.040};  ///< departs from the paper (20 ms): README
   SpaceVector kappa{92.0, 0.0};  ///< notch gain κ_r + jκ_i, 1/s: 4.6/50 ms
   double rho = 0.6;              ///< how the grid answers a change of μ, L_g/(L+L_g); for delay = 1
   double delta_p = 0.01;         ///< δ_p of eq:dpr

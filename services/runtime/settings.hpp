@@ -75,7 +75,7 @@ struct Settings {
   } protection;
   struct {
     Law law = Law::filtered;
-    std::vector<double> settling_times_s = {0.001, 0.0011, 0.020};
+    std::vector<double> settling_times_s = {0.001, 0.0011, 0.040};
     double notch_settling_time_s = 0.050;
     double predictor_rho = 0.6;
   } controller;
