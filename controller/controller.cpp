@@ -79,10 +79,10 @@ Controller::Errors Controller::integrate(const Errors& before, const Point& x) c
   errors.q_error = power(x.v_p_hat, x.i).im - q_r;
   errors.eta_error = before.eta_error + half_T * (before.q_error + errors.q_error);
   const double i_r2 = power_squared(x.p_r, q_r) / floored(abs2(x.v_p_hat));
-  const double energy = 0.5 * (c.L * abs2(x.i) + c.C * (x.v_c * x.v_c));    // eq:xi1_est
+  const double energy = 0.5 * (c.L * abs2(x.i) + c.C * (x.v_c * x.v_c));  // eq:xi1_est
   const double energy_r = 0.5 * (c.L * i_r2 + c.C * (v_cr * v_cr));
   errors.e1 = {energy - energy_r, errors.eta_error};
-  errors.y = before.y + half_T * (before.e1 + errors.e1);                    // eq:dy_est
+  errors.y = before.y + half_T * (before.e1 + errors.e1);  // eq:dy_est
   return errors;
 }
 
@@ -92,7 +92,7 @@ double Controller::next_p_r(const Point& x, double p_i, const ShapedReference& r
   const double T = constants_.T, delta_p = configuration_.delta_p;
   const double b = abs2(x.v_p_hat) * T / c.L;
   const double g = b * (p_i - c.C * (r.dv_cr * r.v_cr)) - T * (r.dq_r * r.q_r);
-  // (p⁺ − p_r)(|p⁺| + δ_p) + b p⁺ = g has one root of the sign of p_r δ_p + g.                          eq:dpr
+  // (p⁺ − p_r)(|p⁺| + δ_p) + b p⁺ = g has one root of the sign of p_r δ_p + g. eq:dpr
   const double d = x.p_r * delta_p + g;
   if (d < 0.0) {
     const double B = delta_p + x.p_r + b;
@@ -105,22 +105,22 @@ double Controller::next_p_r(const Point& x, double p_i, const ShapedReference& r
   return B > 0.0 ? (sum > 0.0 ? 2.0 * d / sum : 0.0) : 0.5 * (root - B);
 }
 
-// What i, v_c and v̂_p will be at the next sample, under the μ that is in force until then: the physical state, not
-// the error triple, since a weak grid answers through L + L_g (equations.md, Sampled design).
+// What i, v_c and v̂_p will be at the next sample, under the μ that is in force until then: the physical
+// state, not the error triple, since a weak grid answers through L + L_g.
 Controller::Point Controller::predict(const Point& x, SpaceVector v_p, double p_i,
                                       const ShapedReference& next) const noexcept {
   const Converter& c = configuration_.converter;
   const double T = constants_.T;
   const SpaceVector turn = constants_.turn, mu = state_.mu;
   const SpaceVector v_p_after = v_p + (configuration_.rho * x.v_c) * (mu - state_.mu_before);
-  const SpaceVector slope = (x.v_c * mu - v_p_after) / c.L - c.omega * times_j(x.i);  // eq:L di, turning frame
+  const SpaceVector slope =
+      (x.v_c * mu - v_p_after) / c.L - c.omega * times_j(x.i);  // eq:L di, turning frame
   const SpaceVector i_mean = x.i + (0.5 * T) * slope;
   Point ahead;
   ahead.i = turn * (x.i + T * slope);
   ahead.v_c = x.v_c + T * (p_i / x.v_c - (mu.re * i_mean.re + mu.im * i_mean.im)) / c.C;  // eq:C vC
   ahead.v_c = ahead.v_c > 0.01 ? ahead.v_c : 0.01;
-  ahead.v_p_hat =
-      configuration_.law == Law::filtered ? constants_.notch.next(x.v_p_hat, v_p) : turn * v_p;
+  ahead.v_p_hat = configuration_.law == Law::filtered ? constants_.notch.next(x.v_p_hat, v_p) : turn * v_p;
   ahead.p_r = next_p_r(x, p_i, next);
   ahead.reference = next;
   return ahead;
@@ -131,12 +131,11 @@ SpaceVector Controller::law(const Point& x, const Errors& errors, double dp_r, d
   const Converter& c = configuration_.converter;
   const Gains& K = constants_.K;
   const double p_hat = power(x.v_p_hat, x.i).re;
-  const SpaceVector e2{x.p_r - p_hat, errors.q_error};                                          // eq:xi2_est
+  const SpaceVector e2{x.p_r - p_hat, errors.q_error};  // eq:xi2_est
   const SpaceVector dp_i_minus_u =
-      SpaceVector{dp_r, -dq_r} + K.k1 * errors.e1 + K.k2 * e2 + K.k3 * errors.y;                // eq:u_est
-  const SpaceVector across_L =
-      (dp_i_minus_u * x.v_p_hat) / floored(abs2(x.v_p_hat)) + c.omega * times_j(x.i);
-  return (x.v_p_hat + c.L * across_L) / x.v_c;                                                  // eq:mu_est
+      SpaceVector{dp_r, -dq_r} + K.k1 * errors.e1 + K.k2 * e2 + K.k3 * errors.y;  // eq:u_est
+  const SpaceVector across_L = (dp_i_minus_u * x.v_p_hat) / floored(abs2(x.v_p_hat)) + c.omega * times_j(x.i);
+  return (x.v_p_hat + c.L * across_L) / x.v_c;  // eq:mu_est
 }
 
 SpaceVector Controller::evaluate(const Measurement& m, SpaceVector v_p, SpaceVector i) noexcept {
@@ -184,7 +183,8 @@ Modulation Controller::step(const Measurement& m) noexcept {
 
   if (started_ && m.step - last_.step > 1) {
     out.status |= gap;
-    if (m.step - last_.step > max_gap) started_ = false;
+    if (m.step - last_.step > max_gap)
+      started_ = false;
     else
       for (std::uint64_t missed = m.step - last_.step - 1; missed > 0; --missed) turn_on();
   }
@@ -220,14 +220,15 @@ Modulation Controller::step(const Measurement& m) noexcept {
   if (!(magnitude2 <= mu_max * mu_max)) {
     out.status |= saturated;
     out.mu = (mu_max / std::sqrt(magnitude2)) * command;
-    // Anti-windup by tracking: what the limit cut off û drains from both integrals, at the rate of the slowest
-    // pole. To let them stand instead leaves a saturated equilibrium (C = 4.8e-5 s, X_g = 0.3).
+    // Anti-windup by tracking: what the limit cut off û drains from both integrals, at the rate of the
+    // slowest pole. To let them stand instead leaves a saturated equilibrium (C = 4.8e-5 s, X_g = 0.3).
     const SpaceVector cut_u = (m.v_c / configuration_.converter.L) *
                               (conj(state_.v_p_hat) * (constants_.held * (command - out.mu)));  // eq:mu_est
     state_.y = state_.y - (constants_.tracking / constants_.K.k3) * cut_u;
     state_.eta_error = state_.eta_error - constants_.tracking / constants_.K.k1 * cut_u.im;
   }
-  if (abs2(state_.v_p_hat) < configuration_.v_p_hat_min * configuration_.v_p_hat_min) out.status |= low_voltage;
+  if (abs2(state_.v_p_hat) < configuration_.v_p_hat_min * configuration_.v_p_hat_min)
+    out.status |= low_voltage;
 
   const SpaceVector as_turning = constants_.held * out.mu;
   const bool delayed = configuration_.timing.delay == 1;

@@ -1,4 +1,5 @@
-// The filtered flatness law, one sample at a time. Section IV of the paper in the sampled form of equations.md.
+// The filtered flatness law, one sample at a time: Section IV of the paper, its gains placed for the sampled
+// loop.
 #pragma once
 
 #include "controller/gains.hpp"
@@ -18,10 +19,10 @@ struct ControllerConfiguration {
   Timing timing;
   Law law = Law::filtered;
   SettlingTimes settling_times_s{0.001, 0.0011, 0.040};  ///< departs from the paper (20 ms): README
-  SpaceVector kappa{92.0, 0.0};  ///< notch gain κ_r + jκ_i, 1/s: 4.6/50 ms
-  double rho = 0.6;              ///< how the grid answers a change of μ, L_g/(L+L_g); for delay = 1
-  double delta_p = 0.01;         ///< δ_p of eq:dpr
-  double v_p_hat_min = 0.1;      ///< floor of |v̂_p| where the law divides by it
+  SpaceVector kappa{92.0, 0.0};                          ///< notch gain κ_r + jκ_i, 1/s: 4.6/50 ms
+  double rho = 0.6;                 ///< how the grid answers a change of μ, L_g/(L+L_g); for delay = 1
+  double delta_p = 0.01;            ///< δ_p of eq:dpr
+  double v_p_hat_min = 0.1;         ///< floor of |v̂_p| where the law divides by it
   double v_c = 1.8384776310850235;  ///< v_cr until the first reference, 1.3·√2
 };
 
@@ -38,11 +39,12 @@ enum ControllerStatus : std::uint32_t {
 /// Computed once at start-up; recorded in the manifest.
 struct ControllerConstants {
   double T = 0.0;
-  Gains K;              ///< sampled gains
+  Gains K;  ///< sampled gains
   Notch notch;
   double tracking = 0.0;  ///< anti-windup: share of the cut that drains each step
-  SpaceVector turn;     ///< e^{jωT}
-  /// What a held μ amounts to, turning: 1, or its mean over the period e^{−jωT/2}·sinc(ωT/2) when it stands still.
+  SpaceVector turn;       ///< e^{jωT}
+  /// What a held μ amounts to, turning: 1, or its mean over the period e^{−jωT/2}·sinc(ωT/2) when it stands
+  /// still.
   SpaceVector held;
   /// The same for a mean over the last period: mean·(this) is the value at its end.
   SpaceVector mean_to_end;
@@ -52,9 +54,10 @@ ControllerConstants derive_constants(const ControllerConfiguration& configuratio
 
 /// Heap-free, noexcept, bounded; + − × ÷ sqrt only. Total: any measurement leaves a finite state.
 ///
-/// Bad measurement (not finite; |i| > 100, |v_p| > 10, |p_i| > 10, v_c outside [0.01, 10]) or wrong timing: the last
-/// μ is held, turning; the state stands; status says so. Missed samples: the state turns on over them, over at most
-/// max_gap; after more the controller starts anew. While the bridge is blocked it idles, as after a start.
+/// Bad measurement (not finite; |i| > 100, |v_p| > 10, |p_i| > 10, v_c outside [0.01, 10]) or wrong timing:
+/// the last μ is held, turning; the state stands; status says so. Missed samples: the state turns on over
+/// them, over at most max_gap; after more the controller starts anew. While the bridge is blocked it idles,
+/// as after a start.
 class Controller {
  public:
   static constexpr std::uint64_t max_gap = 16;
@@ -76,15 +79,16 @@ class Controller {
  private:
   struct State {
     SpaceVector v_p_hat;
-    SpaceVector v_p;        // at the last sample, for the notch
-    SpaceVector e1;         // ê_ξ1 at the last sample, for the trapezoid
+    SpaceVector v_p;  // at the last sample, for the notch
+    SpaceVector e1;   // ê_ξ1 at the last sample, for the trapezoid
     SpaceVector y;
-    double q_error = 0.0;   // q̂ − q_r at the last sample, for the trapezoid
-    double eta_error = 0.0; // η̂ − η_r: each grows without bound, the difference does not
+    double q_error = 0.0;    // q̂ − q_r at the last sample, for the trapezoid
+    double eta_error = 0.0;  // η̂ − η_r: each grows without bound, the difference does not
     double p_r = 0.0;
-    SpaceVector mu_before;  // in force in the period that ends at the next sample, its value there, as if turning
-    SpaceVector mu;         // in force from the next sample on (delay 1), as if turning
-    SpaceVector command;    // the last answer, its value one period on
+    SpaceVector
+        mu_before;   // in force in the period that ends at the next sample, its value there, as if turning
+    SpaceVector mu;  // in force from the next sample on (delay 1), as if turning
+    SpaceVector command;  // the last answer, its value one period on
   };
   // Where the law is evaluated: at a sample, or one step ahead of it.
   struct Point {

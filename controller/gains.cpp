@@ -42,7 +42,8 @@ Gains sampled_gains(const SettlingTimes& settling_times_s, double T) {
   const Matrix A = error_dynamics();
   // A is nilpotent (A³ = 0): the series of the zero-order hold ends.
   const Matrix A_T = Matrix::Identity() + A * T + A * A * (T * T / 2.0);
-  const Vector B_T = (Matrix::Identity() * T + A * (T * T / 2.0) + A * A * (T * T * T / 6.0)) * Vector(0, 1, 0);
+  const Vector B_T =
+      (Matrix::Identity() * T + A * (T * T / 2.0) + A * A * (T * T * T / 6.0)) * Vector(0, 1, 0);
   std::array<double, 3> poles{};
   for (int n = 0; n < 3; ++n) poles[n] = exp_minus(settling_factor * T / settling_times_s[n]);
   return ackermann(A_T, B_T, poles);

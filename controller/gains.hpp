@@ -1,5 +1,5 @@
 // Pole placement for the error triple (e_ξ1, e_ξ2, y), continuous and sampled, and the notch gain.
-// Section IV of the paper; equations.md, Sampled design. For start-up: uses Eigen, not for the step.
+// Section IV of the paper. For start-up: uses Eigen, not for the step.
 #pragma once
 
 #include <array>

@@ -1,11 +1,12 @@
-// The notch filter that makes v̂_p of v_p.                                                            eq:dvp_est
+// The notch filter that makes v̂_p of v_p. eq:dvp_est
 #pragma once
 
 #include "plant/model.hpp"
 
 namespace weakgrid {
 
-/// Discretised in the rotating frame: exactly unity gain and zero phase at ω (equations.md, trap 6).
+/// Discretised in the rotating frame: exactly unity gain and zero phase at ω, where a hold in αβ would lag
+/// half a step.
 struct Notch {
   SpaceVector turn;    ///< e^{jωT}
   SpaceVector intake;  ///< 1 − e^{−κT}, κ = κ_r + jκ_i in 1/s

@@ -9,7 +9,7 @@ namespace weakgrid {
 
 struct ShapedReference {
   double q_r = 0.0;
-  double dq_r = 0.0;   ///< 1/s
+  double dq_r = 0.0;  ///< 1/s
   double v_cr = 0.0;
   double dv_cr = 0.0;  ///< 1/s
 };
@@ -26,7 +26,8 @@ class ReferenceShaper {
     id_ = 0;
   }
 
-  /// Waits for its effective_step. Refused (false): not finite, out of range, or not newer than the newest known.
+  /// Waits for its effective_step. Refused (false): not finite, out of range, or not newer than the newest
+  /// known.
   bool accept(const Reference& reference) noexcept {
     if (!(std::abs(reference.q) <= 10.0) || !(reference.v_c > 0.0 && reference.v_c <= 10.0)) return false;
     if (reference.id <= newest_id_) return false;

@@ -28,8 +28,7 @@ Decision refused(Decision decision, Verdict verdict, Field field) {
 }  // namespace
 
 Arbiter::Arbiter(const Configuration& configuration) noexcept
-    : configuration_(configuration),
-      setpoint_(configuration.initial) {}
+    : configuration_(configuration), setpoint_(configuration.initial) {}
 
 Reference Arbiter::block() noexcept {
   blocked_ = true;
@@ -61,9 +60,9 @@ Decision Arbiter::decide(const Request& request, std::uint64_t step_now) noexcep
 
   judge(request, step_now, decision);
   if (decision.verdict == Verdict::accepted)
-    decision.reference = issue(decision.setpoint,
-                               request.ramp_s != 0.0 ? request.ramp_s : configuration_.default_ramp_s,
-                               start_of(request, step_now));
+    decision.reference =
+        issue(decision.setpoint, request.ramp_s != 0.0 ? request.ramp_s : configuration_.default_ramp_s,
+              start_of(request, step_now));
   client.last = decision;
   return decision;
 }

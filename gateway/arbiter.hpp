@@ -57,7 +57,7 @@ class Arbiter {
     Limits limits;
     Timing timing;
     Setpoint initial;               ///< stands until the first reference
-    double default_ramp_s = 0.020;  ///< the paper's transients need smooth references (equations.md, trap 4)
+    double default_ramp_s = 0.020;  ///< reference steps would saturate μ on a weak grid
     double min_ramp_s = 0.001;
     double max_ramp_s = 60.0;
     std::uint32_t lead_steps = 50;  ///< "as soon as possible": so long after the last step seen, at least 1
@@ -77,8 +77,8 @@ class Arbiter {
   Reference block() noexcept;
   void unblock() noexcept { blocked_ = false; }
 
-  /// A reference that this arbiter did not issue is in force (it has restarted): ids go on above it, and until
-  /// a request gives p, q and v_c nothing is known to stand.
+  /// A reference that this arbiter did not issue is in force (it has restarted): ids go on above it, and
+  /// until a request gives p, q and v_c nothing is known to stand.
   void note_foreign_reference(std::uint32_t id) noexcept;
 
   /// The newest reference issued, perhaps not yet in effect.

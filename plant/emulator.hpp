@@ -1,5 +1,5 @@
-// The emulated unit as its controller meets it: sample, modulation in, one period on. Plant, source, grid events,
-// delay, hold and trips in one value.
+// The emulated unit as its controller meets it: sample, modulation in, one period on. Plant, source, grid
+// events, delay, hold and trips in one value.
 #pragma once
 
 #include <optional>
@@ -16,13 +16,13 @@ struct EmulatorConfiguration {
   Timing timing;
   Grid grid;
   Protection protection;
-  unsigned substeps = 10;   ///< RK4 steps per period, 1 … 1000
+  unsigned substeps = 10;           ///< RK4 steps per period, 1 … 1000
   double v_c = 1.8384776310850235;  ///< DC voltage at the start, 1.3·√2
 };
 
 struct EmulatorCounters {
-  std::uint64_t holds = 0;     ///< periods without a modulation
-  std::uint64_t refused = 0;   ///< modulations not finite or beyond 1/√2: held instead
+  std::uint64_t holds = 0;    ///< periods without a modulation
+  std::uint64_t refused = 0;  ///< modulations not finite or beyond 1/√2: held instead
 };
 
 /// Pure, heap-free, noexcept: the same inputs give the same bits.
@@ -36,8 +36,8 @@ class Emulator {
   /// Ends step k: mu answers sample k and takes effect `delay` steps later; none = hold, counted.
   void advance(std::optional<SpaceVector> mu) noexcept;
 
-  /// A new order: the source ramps to p from effective_step on (at once if that has passed). The last one counts.
-  /// Refused (false): not finite, |p| > 10, or not newer than the one known.
+  /// A new order: the source ramps to p from effective_step on (at once if that has passed). The last one
+  /// counts. Refused (false): not finite, |p| > 10, or not newer than the one known.
   bool accept(const Reference& reference) noexcept;
 
   /// After a trip: idle again, source at 0 until the next reference. Nothing happens without a trip.

@@ -9,7 +9,7 @@ namespace weakgrid {
 
 /// Complex space vector in the stationary αβ frame: re = α, im = β.
 /// Not std::complex: its product may call a library routine, and every operation here must round the same way
-/// with every compiler (equations.md, Bit-exactness).
+/// with every compiler, so that a recorded run re-executes bit for bit.
 struct SpaceVector {
   double re = 0.0;
   double im = 0.0;
@@ -32,7 +32,7 @@ inline bool finite(SpaceVector a) { return std::isfinite(a.re) && std::isfinite(
 /// j·a, the quarter turn.
 constexpr SpaceVector times_j(SpaceVector a) { return {-a.im, a.re}; }
 
-/// s = v ĩ = p + jq: re is the active, im the reactive power.                                              eq:s
+/// s = v ĩ = p + jq: re is the active, im the reactive power. eq:s
 constexpr SpaceVector power(SpaceVector v, SpaceVector i) { return v * conj(i); }
 
 inline constexpr double pi = 3.14159265358979323846;
@@ -63,10 +63,10 @@ constexpr SpaceVector unit_phasor(double angle) {
 }
 
 struct Converter {
-  double omega = 2.0 * pi * 50.0;        ///< grid angular frequency ω, rad/s
-  double L = 0.02 / (2.0 * pi * 50.0);   ///< filter inductance X_L/ω, seconds
-  double C = 4.8e-4;                     ///< DC-link capacitance C_phys·Z_b, seconds
-  double mu_max = 0.70710678118654752;   ///< |μ| ≤ 1/√2: space vector modulation
+  double omega = 2.0 * pi * 50.0;       ///< grid angular frequency ω, rad/s
+  double L = 0.02 / (2.0 * pi * 50.0);  ///< filter inductance X_L/ω, seconds
+  double C = 4.8e-4;                    ///< DC-link capacitance C_phys·Z_b, seconds
+  double mu_max = 0.70710678118654752;  ///< |μ| ≤ 1/√2: space vector modulation
 };
 
 /// Thévenin grid. R_g ≥ 0 and L_g ≥ 0, both may be zero (strong grid).
@@ -76,7 +76,8 @@ struct Grid {
   double V = 1.0;    ///< |v_g| > 0
 };
 
-/// How μ is held between two updates (equations.md, trap 7).
+/// How μ is held between two updates. Part of the contract: a still μ ripples, and sampling aliases the
+/// ripple.
 enum class Hold : std::uint8_t {
   turning,  ///< the modulator turns the held μ at ω
   still,    ///< μ stands still in αβ
@@ -130,8 +131,8 @@ struct Reference {
   std::uint32_t ramp_steps = 0;
 };
 
-/// A quantity on its way: raised cosine over `steps` steps from `start`, then `to`. A ramp that begins while the
-/// one before still moves carries the slope over, so value and slope never jump.
+/// A quantity on its way: raised cosine over `steps` steps from `start`, then `to`. A ramp that begins while
+/// the one before still moves carries the slope over, so value and slope never jump.
 struct Ramp {
   double from = 0.0;
   double to = 0.0;

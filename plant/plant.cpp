@@ -31,8 +31,8 @@ void Plant::restart(double v_c, const Grid& grid) noexcept {
 
 Plant::State Plant::derivative(const State& x, SpaceVector mu, SpaceVector v_g, double p_i,
                                const Grid& grid) const noexcept {
-  return {(x.v_c * mu - v_g - grid.R_g * x.i) / (converter_.L + grid.L_g),        // eq:L+Lg di
-          (p_i / x.v_c - (mu.re * x.i.re + mu.im * x.i.im)) / converter_.C};      // eq:C vC
+  return {(x.v_c * mu - v_g - grid.R_g * x.i) / (converter_.L + grid.L_g),    // eq:L+Lg di
+          (p_i / x.v_c - (mu.re * x.i.re + mu.im * x.i.im)) / converter_.C};  // eq:C vC
 }
 
 SpaceVector Plant::pcc_voltage(const State& x, SpaceVector mu, SpaceVector v_g,

@@ -46,11 +46,11 @@ class Plant {
   Converter converter_;
   Hold hold_;
   unsigned substeps_;
-  double h_;                 // substep, seconds
-  SpaceVector turn_half_;    // e^{jωh/2}
-  SpaceVector turn_period_;  // e^{jωT}
+  double h_;                           // substep, seconds
+  SpaceVector turn_half_;              // e^{jωh/2}
+  SpaceVector turn_period_;            // e^{jωT}
   SpaceVector grid_phasor_{1.0, 0.0};  // e^{jωt}
-  SpaceVector mu_;           // in force in the last period, at its start
+  SpaceVector mu_;                     // in force in the last period, at its start
   SpaceVector i_;
   double v_c_;
   SpaceVector v_p_, v_p_mean_, i_mean_;

@@ -15,9 +15,9 @@ enum class Trip : std::uint8_t {
 };
 
 struct Protection {
-  double i_max = 2.0;     ///< |i|, per unit
-  double v_c_max = 2.6;   ///< per unit
-  double v_c_min = 1.2;   ///< per unit, above 0
+  double i_max = 2.0;            ///< |i|, per unit
+  double v_c_max = 2.6;          ///< per unit
+  double v_c_min = 1.2;          ///< per unit, above 0
   std::uint32_t max_holds = 20;  ///< consecutive periods without a modulation before the bridge is blocked
 };
 
@@ -32,12 +32,18 @@ inline Trip check(const Protection& limits, SpaceVector i, double v_c) noexcept 
 
 constexpr const char* name(Trip trip) noexcept {
   switch (trip) {
-    case Trip::none: return "none";
-    case Trip::overcurrent: return "overcurrent";
-    case Trip::dc_overvoltage: return "DC overvoltage";
-    case Trip::dc_undervoltage: return "DC undervoltage";
-    case Trip::modulation_lost: return "modulation lost";
-    case Trip::not_finite: return "state not finite";
+    case Trip::none:
+      return "none";
+    case Trip::overcurrent:
+      return "overcurrent";
+    case Trip::dc_overvoltage:
+      return "DC overvoltage";
+    case Trip::dc_undervoltage:
+      return "DC undervoltage";
+    case Trip::modulation_lost:
+      return "modulation lost";
+    case Trip::not_finite:
+      return "state not finite";
   }
   return "unknown";
 }

@@ -49,16 +49,23 @@ class ControllerService {
  private:
   // On a thread of the bus: references come here and wait for the next sample.
   void keep(const Reference& reference) {
-    if (!references_.put(reference)) refused_references_.fetch_add(1, std::memory_order_relaxed);
-    else newest_heard_.store(reference.id, std::memory_order_release);
+    if (!references_.put(reference))
+      refused_references_.fetch_add(1, std::memory_order_relaxed);
+    else
+      newest_heard_.store(reference.id, std::memory_order_release);
   }
 
   // On the thread of the bus that brings the samples: the whole hot path of this process.
   void answer(const Measurement& measurement, WriterId writer) {
     switch (one_plant_.admit(writer, measurement_reader_)) {
-      case OneWriter::Verdict::refused: foreign_.fetch_add(1, std::memory_order_relaxed); return;
-      case OneWriter::Verdict::changed: controller_.reset(); break;
-      case OneWriter::Verdict::known: break;
+      case OneWriter::Verdict::refused:
+        foreign_.fetch_add(1, std::memory_order_relaxed);
+        return;
+      case OneWriter::Verdict::changed:
+        controller_.reset();
+        break;
+      case OneWriter::Verdict::known:
+        break;
     }
     while (const auto reference = references_.take())
       if (!controller_.accept(*reference)) refused_references_.fetch_add(1, std::memory_order_relaxed);
@@ -88,13 +95,19 @@ class ControllerService {
     health.state = running ? ServiceState::running : ServiceState::starting;
     health.step = step_;
     health.reference_id = newest_heard_.load(std::memory_order_acquire);
-    if (!running) health.text = "waits for a plant";
-    else if ((status & wrong_timing) != 0) health.text = "the plant's period, delay, hold or sampling is not mine";
-    else if ((status & bad_measurement) != 0) health.text = "bad measurement";
-    if (health.text != logged_ && (status & (wrong_timing | bad_measurement)) != 0) spdlog::error("{}", health.text);
+    if (!running)
+      health.text = "waits for a plant";
+    else if ((status & wrong_timing) != 0)
+      health.text = "the plant's period, delay, hold or sampling is not mine";
+    else if ((status & bad_measurement) != 0)
+      health.text = "bad measurement";
+    if (health.text != logged_ && (status & (wrong_timing | bad_measurement)) != 0)
+      spdlog::error("{}", health.text);
     logged_ = health.text;
-    constexpr const char* names[] = {"saturated", "bad_measurement", "low_voltage", "gap", "wrong_timing", "started"};
-    for (std::size_t bit = 0; bit < counts_.size(); ++bit) health.counters.push_back({names[bit], counts_[bit]});
+    constexpr const char* names[] = {"saturated", "bad_measurement", "low_voltage",
+                                     "gap",       "wrong_timing",    "started"};
+    for (std::size_t bit = 0; bit < counts_.size(); ++bit)
+      health.counters.push_back({names[bit], counts_[bit]});
     health.counters.push_back({"stale", stale_});
     health.counters.push_back({"unsent", unsent_});
     health.counters.push_back({"refused_references", refused_references_});
@@ -124,7 +137,8 @@ class ControllerService {
 
 int main(int argc, char** argv) {
   using namespace weakgrid;
-  return run_service(argc, argv, "weakgrid-controller",
-                     "Answers each sample of its unit's plant with a modulation: the filtered flatness law.", {},
-                     [](const Settings& settings, StopSignal& stop) { ControllerService(settings).serve(stop); });
+  return run_service(
+      argc, argv, "weakgrid-controller",
+      "Answers each sample of its unit's plant with a modulation: the filtered flatness law.", {},
+      [](const Settings& settings, StopSignal& stop) { ControllerService(settings).serve(stop); });
 }

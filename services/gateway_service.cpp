@@ -109,7 +109,8 @@ class GatewayService {
 
 int main(int argc, char** argv) {
   using namespace weakgrid;
-  return run_service(argc, argv, "weakgrid-gateway",
-                     "Accepts setpoints inside the steady-state envelope and issues references to one unit.", {},
-                     [](const Settings& settings, StopSignal& stop) { GatewayService(settings).serve(stop); });
+  return run_service(
+      argc, argv, "weakgrid-gateway",
+      "Accepts setpoints inside the steady-state envelope and issues references to one unit.", {},
+      [](const Settings& settings, StopSignal& stop) { GatewayService(settings).serve(stop); });
 }

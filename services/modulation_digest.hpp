@@ -1,4 +1,5 @@
-// SHA-256 over every field of every modulation that drove a unit: two runs with the same digest took the same path.
+// SHA-256 over every field of every modulation that drove a unit: two runs with the same digest took the same
+// path.
 #pragma once
 
 #include <string>

@@ -95,7 +95,8 @@ class PlantService {
             foreign_.fetch_add(1, std::memory_order_relaxed);
             continue;
           }
-          if ((modulation->status & ControllerStatus::saturated) != 0) saturated_.fetch_add(1, std::memory_order_relaxed);
+          if ((modulation->status & ControllerStatus::saturated) != 0)
+            saturated_.fetch_add(1, std::memory_order_relaxed);
           controller_is_lost_ = false;
           state_ = ServiceState::running;
           return modulation;
@@ -111,8 +112,10 @@ class PlantService {
     while (const auto reference = references_.take())
       if (!emulator_.accept(*reference)) refused_references_.fetch_add(1, std::memory_order_relaxed);
     while (const auto operation = operations_.take()) {
-      if (operation->kind == OperationKind::advance) until_ = operation->until_step;
-      else emulator_.reset_trip();
+      if (operation->kind == OperationKind::advance)
+        until_ = operation->until_step;
+      else
+        emulator_.reset_trip();
     }
     publish();
   }
@@ -208,10 +211,11 @@ class PlantService {
 int main(int argc, char** argv) {
   using namespace weakgrid;
   std::optional<std::uint64_t> until;
-  return run_service(argc, argv, "weakgrid-plant",
-                     "Emulates converter, DC link, source and grid of one unit, in lockstep with its controller.",
-                     {{"--until", "wait at this step for an operation; default: go on for ever", &until}},
-                     [&](const Settings& settings, StopSignal& stop) {
-                       PlantService(settings, until.value_or(std::numeric_limits<std::uint64_t>::max())).serve(stop);
-                     });
+  return run_service(
+      argc, argv, "weakgrid-plant",
+      "Emulates converter, DC link, source and grid of one unit, in lockstep with its controller.",
+      {{"--until", "wait at this step for an operation; default: go on for ever", &until}},
+      [&](const Settings& settings, StopSignal& stop) {
+        PlantService(settings, until.value_or(std::numeric_limits<std::uint64_t>::max())).serve(stop);
+      });
 }

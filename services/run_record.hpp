@@ -21,20 +21,20 @@ class RunRecord {
 
   struct Quantity {
     std::string name;
-    double settled = 0.0;      ///< mean over the last grid period
+    double settled = 0.0;  ///< mean over the last grid period
     double closed_form = 0.0;
-    double difference = 0.0;   ///< relative; to 0.1 where the closed form is smaller
-    double swing = 0.0;        ///< largest departure from the mean in that period, relative alike
+    double difference = 0.0;  ///< relative; to 0.1 where the closed form is smaller
+    double swing = 0.0;       ///< largest departure from the mean in that period, relative alike
     bool agrees = false;
   };
   struct Summary {
     std::vector<Quantity> quantities;  ///< p, q, v_c, |v_p|, |i|
     double tolerance = 0.0;
     bool has_steady_state = false;
-    bool settled = false;              ///< all quantities agree and the unit has not tripped
+    bool settled = false;  ///< all quantities agree and the unit has not tripped
     double v_c_min = 0.0, v_c_max = 0.0;
-    std::uint64_t saturated = 0;       ///< modulations seen that were limited
-    std::uint64_t missed = 0;          ///< measurements not seen, of end_step
+    std::uint64_t saturated = 0;  ///< modulations seen that were limited
+    std::uint64_t missed = 0;     ///< measurements not seen, of end_step
     std::optional<std::uint64_t> blocked_at;
   };
   Summary summary() const;

@@ -1,4 +1,5 @@
-// A scenario in one process without DDS: the pure rooms passed the same values in the same order as over the bus.
+// A scenario in one process without DDS: the pure rooms passed the same values in the same order as over the
+// bus.
 #pragma once
 
 #include <functional>

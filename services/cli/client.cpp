@@ -66,7 +66,8 @@ std::optional<DecisionMessage> Client::ask(Request request, Patience patience) {
       (void)requests_.write(request);
       lock.lock();
     }
-    if (news_.wait_for(lock, Patience(100), [&] { return decision_ && decision_->decision.id == request.id; }))
+    if (news_.wait_for(lock, Patience(100),
+                       [&] { return decision_ && decision_->decision.id == request.id; }))
       return decision_;
   }
   return std::nullopt;

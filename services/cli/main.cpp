@@ -16,7 +16,8 @@ Settings Where::settings() const {
 }
 
 void add_where(CLI::App& command, Where& where) {
-  command.add_option("--settings", where.file, "the unit's settings file, for its domain, number and interfaces");
+  command.add_option("--settings", where.file,
+                     "the unit's settings file, for its domain, number and interfaces");
   command.add_option("--domain", where.domain, "DDS domain (default: of the settings, else 0)")
       ->check(CLI::Range(0, 230));
   command.add_option("--unit", where.unit, "unit number (default: of the settings, else 1)")
@@ -25,7 +26,8 @@ void add_where(CLI::App& command, Where& where) {
 
 Settings load_scenario(const std::string& file) {
   Settings settings = load_settings(file);
-  if (!settings.scenario) throw SettingsError(file + ": scenario: missing; this command needs a table [scenario]");
+  if (!settings.scenario)
+    throw SettingsError(file + ": scenario: missing; this command needs a table [scenario]");
   return settings;
 }
 

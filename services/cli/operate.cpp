@@ -22,7 +22,8 @@ Command add_operate(CLI::App& app) {
   CLI::App* advance = command->add_subcommand("advance", "Lets a unit that waits go on.");
   advance->add_option("--until", options->until, "wait again at this step; default: go on for ever");
   for (CLI::App* verb : {options->reset, advance}) add_where(*verb, options->where);
-  command->footer("Example: weakgrid operate reset --unit 1\nExit: 0 sent, 2 bad usage, 3 no plant is there.");
+  command->footer(
+      "Example: weakgrid operate reset --unit 1\nExit: 0 sent, 2 bad usage, 3 no plant is there.");
   return [options] {
     const Settings settings = options->where.settings();
     Client client(settings.unit.domain, settings.unit.number, settings.dds.interfaces);
@@ -33,9 +34,11 @@ Command add_operate(CLI::App& app) {
                                            settings.unit.number, settings.unit.domain));
     // Seen done, not only sent.
     const auto done = [&](const Health& h) {
-      return is_reset ? counter(h, "tripped") == 0 : h.state != ServiceState::waiting || h.step >= options->until;
+      return is_reset ? counter(h, "tripped") == 0
+                      : h.state != ServiceState::waiting || h.step >= options->until;
     };
-    if (!client.wait_for("plant", Patience(5000), done)) throw std::runtime_error("the plant does not follow");
+    if (!client.wait_for("plant", Patience(5000), done))
+      throw std::runtime_error("the plant does not follow");
     return exit_done;
   };
 }

@@ -16,8 +16,8 @@ class Processes {
   /// Stops what still runs.
   ~Processes();
 
-  /// Starts `program` from the folder of this executable; it gets SIGTERM should this process die. Call before the
-  /// first bus is made: a forked participant is broken. Throws std::runtime_error.
+  /// Starts `program` from the folder of this executable; it gets SIGTERM should this process die. Call
+  /// before the first bus is made: a forked participant is broken. Throws std::runtime_error.
   void start(const std::string& program, const std::vector<std::string>& arguments);
 
   /// The name of a program that has ended by itself, empty while all run.

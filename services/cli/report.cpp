@@ -25,11 +25,13 @@ double rate(const Settings& settings, const Outcome& outcome) {
 std::string verdict(const Settings& settings, const Outcome& outcome) {
   if (!outcome.trip.empty())
     return fmt::format("LOST the operating point: {} at t = {:.4f} s (step {})", outcome.trip,
-                       static_cast<double>(outcome.trip_step) * period_s(timing(settings)), outcome.trip_step);
+                       static_cast<double>(outcome.trip_step) * period_s(timing(settings)),
+                       outcome.trip_step);
   for (const Decision& decision : outcome.decisions)
     if (decision.verdict != Verdict::accepted) return "REFUSED: a setpoint was not accepted";
   if (outcome.holds > 0) return fmt::format("INTERRUPTED: {} steps without a modulation", outcome.holds);
-  if (!outcome.summary.has_steady_state) return "LOST: the grid at the end has no steady state for this setpoint";
+  if (!outcome.summary.has_steady_state)
+    return "LOST: the grid at the end has no steady state for this setpoint";
   return outcome.summary.settled ? "SETTLED where the closed form says" : "NOT SETTLED";
 }
 
@@ -40,14 +42,14 @@ void print_table(const Settings& settings, const Outcome& outcome) {
   for (const Decision& decision : outcome.decisions) fmt::print("{}\n", describe(decision, timing(settings)));
   fmt::print("\n{:<20}{:>14}{:>14}{:>14}{:>12}\n", "", "settled", "closed form", "rel. diff.", "swing");
   for (const auto& q : s.quantities)
-    fmt::print("{:<20}{:>14.6f}{:>14.6f}{:>14.1e}{:>12.1e}  {}\n", q.name, q.settled, q.closed_form, q.difference,
-               q.swing, q.agrees ? "agrees" : "DIFFERS");
+    fmt::print("{:<20}{:>14.6f}{:>14.6f}{:>14.1e}{:>12.1e}  {}\n", q.name, q.settled, q.closed_form,
+               q.difference, q.swing, q.agrees ? "agrees" : "DIFFERS");
   fmt::print("\nv_c {:.4f} … {:.4f}, {} steps saturated", s.v_c_min, s.v_c_max, s.saturated);
   if (outcome.over_dds) {
     fmt::print(", {} steps held, {} samples sent again, {} not seen by this observer\n", outcome.holds,
                outcome.resends, s.missed);
-    fmt::print("{:.2f} s at {} µs in {:.2f} s: {:.2f} × real time over DDS, {:.0f} steps/s\n", settings.scenario->end_s,
-               settings.timing.period_us, outcome.wall_s, rate(settings, outcome),
+    fmt::print("{:.2f} s at {} µs in {:.2f} s: {:.2f} × real time over DDS, {:.0f} steps/s\n",
+               settings.scenario->end_s, settings.timing.period_us, outcome.wall_s, rate(settings, outcome),
                rate(settings, outcome) * 1e6 / settings.timing.period_us);
   } else {
     fmt::print("\n{:.2f} s at {} µs in {:.4f} s: {:.0f} × real time\n", settings.scenario->end_s,
@@ -60,7 +62,8 @@ void print_table(const Settings& settings, const Outcome& outcome) {
 nlohmann::json to_json(const Decision& decision, const Timing& timing) {
   nlohmann::json margins = nlohmann::json::array();
   for (const LimitMargin& margin : decision.margins)
-    margins.push_back({{"limit", name(margin.limit)}, {"enforced", margin.enforced}, {"margin", margin.margin}});
+    margins.push_back(
+        {{"limit", name(margin.limit)}, {"enforced", margin.enforced}, {"margin", margin.margin}});
   return {{"verdict", name(decision.verdict)},
           {"active_power", decision.setpoint.p},
           {"reactive_power", decision.setpoint.q},

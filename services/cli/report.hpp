@@ -13,9 +13,9 @@ struct Outcome {
   std::vector<Decision> decisions;
   RunRecord::Summary summary;
   std::string digest;
-  std::string trip;            ///< empty = none
+  std::string trip;  ///< empty = none
   std::uint64_t trip_step = 0;
-  double wall_s = 0.0;         ///< spent stepping
+  double wall_s = 0.0;  ///< spent stepping
   std::uint64_t holds = 0, resends = 0;
   bool over_dds = false;
 

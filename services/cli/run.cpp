@@ -38,9 +38,12 @@ class Conductor {
         measurements_(client_.bus(), settings.unit.number,
                       [this](const Measurement& m, WriterId) {
                         const std::lock_guard lock(mutex_);
-                        if (m.step == next_to_see_) ++next_to_see_;
-                        else if (m.step > next_to_see_) next_to_see_ = m.step + 1;
-                        else return;  // sent again
+                        if (m.step == next_to_see_)
+                          ++next_to_see_;
+                        else if (m.step > next_to_see_)
+                          next_to_see_ = m.step + 1;
+                        else
+                          return;  // sent again
                         record_.see(m);
                       }),
         modulations_(client_.bus(), settings.unit.number, [this](const Modulation& mu, WriterId) {
@@ -92,9 +95,11 @@ class Conductor {
       if (stop_.wait(Patience(0))) throw std::runtime_error("stopped by a signal");
       if (const std::string name = processes_.ended(); !name.empty())
         throw std::runtime_error(name + " has ended by itself; its reason is above");
-      if (is_shared()) throw std::runtime_error(fmt::format(
-          "unit {} is already served in domain {}: give another --domain", settings_.unit.number, settings_.unit.domain));
-      if (std::chrono::steady_clock::now() > deadline) throw std::runtime_error("gave up waiting for " + what);
+      if (is_shared())
+        throw std::runtime_error(fmt::format("unit {} is already served in domain {}: give another --domain",
+                                             settings_.unit.number, settings_.unit.domain));
+      if (std::chrono::steady_clock::now() > deadline)
+        throw std::runtime_error("gave up waiting for " + what);
     }
   }
 
@@ -102,7 +107,8 @@ class Conductor {
   bool is_shared() const {
     std::map<std::string, int> count;
     for (const auto& [key, health] : client_.peers())
-      if (health.state != ServiceState::stopped && health.wall_time_ns >= started_ns_ && ++count[key.first] > 1)
+      if (health.state != ServiceState::stopped && health.wall_time_ns >= started_ns_ &&
+          ++count[key.first] > 1)
         return true;
     return false;
   }
@@ -166,19 +172,22 @@ int run(const Options& options) {
   settings.unit.domain = options.domain.value_or(settings.unit.domain);
   StopSignal stop;
   Processes processes;
-  std::vector<std::string> arguments{"--settings", options.file, "--log", options.log, "--domain",
-                                     std::to_string(settings.unit.domain)};
+  std::vector<std::string> arguments{"--settings", options.file, "--log",
+                                     options.log,  "--domain",   std::to_string(settings.unit.domain)};
   processes.start("weakgrid-controller", arguments);
   processes.start("weakgrid-gateway", arguments);
   arguments.insert(arguments.end(), {"--until", "0"});
   processes.start("weakgrid-plant", arguments);
   if (isatty(STDERR_FILENO) != 0)
-    fmt::print(stderr, "weakgrid: plays \"{}\" over DDS, domain {}\n", settings.scenario->title, settings.unit.domain);
+    fmt::print(stderr, "weakgrid: plays \"{}\" over DDS, domain {}\n", settings.scenario->title,
+               settings.unit.domain);
 
   Outcome outcome = Conductor(settings, processes, stop).play();
   const bool stopped_well = processes.stop();
-  if (options.json) fmt::print("{}\n", to_json(settings, outcome).dump(2));
-  else print_table(settings, outcome);
+  if (options.json)
+    fmt::print("{}\n", to_json(settings, outcome).dump(2));
+  else
+    print_table(settings, outcome);
   if (!stopped_well) throw std::runtime_error("a service did not end well");
   return outcome.is_good() ? exit_done : exit_no;
 }
@@ -187,16 +196,18 @@ int run(const Options& options) {
 
 Command add_run(CLI::App& app) {
   auto options = std::make_shared<Options>();
-  CLI::App* command =
-      app.add_subcommand("run", "Starts plant, controller and gateway, plays a scenario over DDS, prints a verdict.");
+  CLI::App* command = app.add_subcommand(
+      "run", "Starts plant, controller and gateway, plays a scenario over DDS, prints a verdict.");
   command->add_option("SCENARIO", options->file, "scenario file, TOML")->required();
-  command->add_option("--domain", options->domain, "DDS domain, instead of the file's")->check(CLI::Range(0, 230));
+  command->add_option("--domain", options->domain, "DDS domain, instead of the file's")
+      ->check(CLI::Range(0, 230));
   command->add_option("--log", options->log, "what the services print on stderr")
       ->check(CLI::IsMember({"debug", "info", "warning", "error"}))
       ->capture_default_str();
   command->add_flag("--json", options->json, "print JSON");
-  command->footer("Example: weakgrid run deploy/settings/paper-weak.toml\n"
-                  "Exit: 0 settled where the closed form says, 1 not, 2 bad usage or input, 3 the world failed.");
+  command->footer(
+      "Example: weakgrid run deploy/settings/paper-weak.toml\n"
+      "Exit: 0 settled where the closed form says, 1 not, 2 bad usage or input, 3 the world failed.");
   return [options] { return run(*options); };
 }
 

@@ -30,8 +30,9 @@ Command add_set(CLI::App& app) {
       ->capture_default_str();
   command->add_flag("--json", options->json, "print JSON");
   add_where(*command, options->where);
-  command->footer("Example: weakgrid set --p 0.5 --q 0.1 --ramp 0.05\n"
-                  "Exit: 0 accepted, 1 rejected, 2 bad usage, 3 no gateway answers.");
+  command->footer(
+      "Example: weakgrid set --p 0.5 --q 0.1 --ramp 0.05\n"
+      "Exit: 0 accepted, 1 rejected, 2 bad usage, 3 no gateway answers.");
   return [options] {
     const Settings settings = options->where.settings();
     if (!options->setpoint.active_power && !options->setpoint.reactive_power && !options->setpoint.dc_voltage)
@@ -40,14 +41,19 @@ Command add_set(CLI::App& app) {
     const auto answer = client.ask(request(settings, options->setpoint, 0, 0),
                                    Patience(static_cast<std::int64_t>(options->timeout_s * 1e3)));
     if (!answer)
-      throw std::runtime_error(fmt::format("no gateway of unit {} answers in domain {}; is weakgrid-gateway running?",
-                                           settings.unit.number, settings.unit.domain));
-    if (options->json) fmt::print("{}\n", to_json(answer->decision, timing(settings)).dump(2));
-    else fmt::print("{}\n", answer->text);
+      throw std::runtime_error(
+          fmt::format("no gateway of unit {} answers in domain {}; is weakgrid-gateway running?",
+                      settings.unit.number, settings.unit.domain));
+    if (options->json)
+      fmt::print("{}\n", to_json(answer->decision, timing(settings)).dump(2));
+    else
+      fmt::print("{}\n", answer->text);
     if (!options->json)
       for (const LimitMargin& margin : answer->decision.margins)
         fmt::print("  {:<34}{:>12.6f}{}\n", name(margin.limit), margin.margin,
-                   violated(margin) ? "  violated" : margin.enforced ? "" : "  for information");
+                   violated(margin)  ? "  violated"
+                   : margin.enforced ? ""
+                                     : "  for information");
     return answer->decision.verdict == Verdict::accepted ? exit_done : exit_no;
   };
 }

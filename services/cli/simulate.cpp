@@ -20,8 +20,9 @@ Command add_simulate(CLI::App& app) {
   CLI::App* command = app.add_subcommand("simulate", "Plays a scenario in one process, without DDS.");
   command->add_option("SCENARIO", options->file, "scenario file, TOML")->required();
   command->add_flag("--json", options->json, "print JSON");
-  command->footer("Example: weakgrid simulate deploy/settings/unfiltered-x01.toml\n"
-                  "Exit: 0 settled where the closed form says, 1 not, 2 bad usage or input.");
+  command->footer(
+      "Example: weakgrid simulate deploy/settings/unfiltered-x01.toml\n"
+      "Exit: 0 settled where the closed form says, 1 not, 2 bad usage or input.");
   return [options] {
     const Settings settings = load_scenario(options->file);
     RunRecord record(settings);
@@ -38,8 +39,10 @@ Command add_simulate(CLI::App& app) {
     outcome.digest = result.digest;
     outcome.trip = result.trip == Trip::none ? "" : name(result.trip);
     outcome.trip_step = result.trip_step;
-    if (options->json) fmt::print("{}\n", to_json(settings, outcome).dump(2));
-    else print_table(settings, outcome);
+    if (options->json)
+      fmt::print("{}\n", to_json(settings, outcome).dump(2));
+    else
+      print_table(settings, outcome);
     return outcome.is_good() ? exit_done : exit_no;
   };
 }

@@ -16,13 +16,15 @@ namespace {
 nlohmann::json to_json(const Health& h, double age_s) {
   nlohmann::json counters = nlohmann::json::object();
   for (const Counter& counter : h.counters) counters[counter.name] = counter.value;
-  return {{"service", h.service}, {"state", name(h.state)}, {"step", h.step}, {"reference_id", h.reference_id},
-          {"age_s", age_s},       {"text", h.text},         {"counters", counters}};
+  return {{"service", h.service}, {"state", name(h.state)},
+          {"step", h.step},       {"reference_id", h.reference_id},
+          {"age_s", age_s},       {"text", h.text},
+          {"counters", counters}};
 }
 
 void print(const Health& h, double age_s) {
-  fmt::print("{:<12}{:<17}step {:<12} reference {:<6} heard {:.1f} s ago  {}\n", h.service, name(h.state), h.step,
-             h.reference_id, age_s, h.text);
+  fmt::print("{:<12}{:<17}step {:<12} reference {:<6} heard {:.1f} s ago  {}\n", h.service, name(h.state),
+             h.step, h.reference_id, age_s, h.text);
   for (const Counter& counter : h.counters)
     if (counter.value != 0) fmt::print("            {} {}\n", counter.name, counter.value);
 }
@@ -36,14 +38,16 @@ Command add_status(CLI::App& app) {
     bool json = false;
   };
   auto options = std::make_shared<Options>();
-  CLI::App* command = app.add_subcommand("status", "Shows who serves a unit, in what state, and what it measures.");
+  CLI::App* command =
+      app.add_subcommand("status", "Shows who serves a unit, in what state, and what it measures.");
   command->add_option("--wait", options->wait_s, "how long to listen, seconds")
       ->check(CLI::Range(0.1, 3600.0))
       ->capture_default_str();
   command->add_flag("--json", options->json, "print JSON");
   add_where(*command, options->where);
-  command->footer("Example: weakgrid status --domain 0 --unit 1\n"
-                  "Exit: 0 plant, controller and gateway run, 1 one is missing or tripped, 2 bad usage.");
+  command->footer(
+      "Example: weakgrid status --domain 0 --unit 1\n"
+      "Exit: 0 plant, controller and gateway run, 1 one is missing or tripped, 2 bad usage.");
   return [options] {
     const Settings settings = options->where.settings();
     Client client(settings.unit.domain, settings.unit.number, settings.dds.interfaces);
@@ -61,26 +65,29 @@ Command add_status(CLI::App& app) {
       const bool lives = health.state != ServiceState::stopped && age_s < 5.0;
       if (lives && health.state != ServiceState::blocked_by_trip && counter(health, "tripped") == 0)
         works[health.service] = true;
-      if (options->json) services.push_back(to_json(health, age_s));
-      else print(health, age_s);
+      if (options->json)
+        services.push_back(to_json(health, age_s));
+      else
+        print(health, age_s);
     }
     const std::lock_guard lock(mutex);
     nlohmann::json out{{"services", services}};
     if (last) {
       const SpaceVector s = power(last->v_p, last->i);
       if (options->json)
-        out["measurement"] = {{"step", last->step},          {"active_power", s.re},
-                              {"reactive_power", s.im},      {"dc_voltage", last->v_c},
-                              {"pcc_voltage", abs(last->v_p)}, {"current", abs(last->i)},
-                              {"source_power", last->p_i},   {"blocked", last->blocked}};
+        out["measurement"] = {
+            {"step", last->step},        {"active_power", s.re},          {"reactive_power", s.im},
+            {"dc_voltage", last->v_c},   {"pcc_voltage", abs(last->v_p)}, {"current", abs(last->i)},
+            {"source_power", last->p_i}, {"blocked", last->blocked}};
       else
-        fmt::print("step {}: p {:.4f}, q {:.4f}, v_c {:.4f}, |v_p| {:.4f}, |i| {:.4f}{}\n", last->step, s.re, s.im,
-                   last->v_c, abs(last->v_p), abs(last->i), last->blocked ? ", blocked" : "");
+        fmt::print("step {}: p {:.4f}, q {:.4f}, v_c {:.4f}, |v_p| {:.4f}, |i| {:.4f}{}\n", last->step, s.re,
+                   s.im, last->v_c, abs(last->v_p), abs(last->i), last->blocked ? ", blocked" : "");
     }
     bool all_work = true;
     for (const auto& [service, is_well] : works) {
       all_work = all_work && is_well;
-      if (!is_well && !options->json) fmt::print("{}: none that works in domain {}\n", service, settings.unit.domain);
+      if (!is_well && !options->json)
+        fmt::print("{}: none that works in domain {}\n", service, settings.unit.domain);
     }
     if (options->json) fmt::print("{}\n", out.dump(2));
     return all_work ? exit_done : exit_no;

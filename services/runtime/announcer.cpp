@@ -13,13 +13,12 @@ std::uint64_t random_identity() {
 }
 
 std::int64_t wall_time_ns() {
-  return std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::system_clock::now().time_since_epoch())
+  return std::chrono::duration_cast<std::chrono::nanoseconds>(
+             std::chrono::system_clock::now().time_since_epoch())
       .count();
 }
 
-std::string build_text() {
-  return "weakgrid " WEAKGRID_VERSION ", " WEAKGRID_COMPILER;
-}
+std::string build_text() { return "weakgrid " WEAKGRID_VERSION ", " WEAKGRID_COMPILER; }
 
 Announcer::Announcer(Bus& bus, const Settings& settings, const std::string& service,
                      std::vector<Constant> constants)

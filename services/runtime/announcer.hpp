@@ -25,8 +25,8 @@ class Announcer {
   /// Says goodbye.
   ~Announcer();
 
-  /// Fills in service, instance and time; writes what differs from the last word in more than step and counters,
-  /// or is a second old.
+  /// Fills in service, instance and time; writes what differs from the last word in more than step and
+  /// counters, or is a second old.
   void say(Health health) noexcept;
 
  private:

@@ -1,6 +1,7 @@
-// Bus over Fast DDS 2.9. Newer majors differ here and nowhere else (fastdds.md, section 7).
+// Bus over Fast DDS 2.9. Newer majors differ here and nowhere else.
 #include "services/runtime/bus.hpp"
 
+#include <fastdds/rtps/transport/UDPv4TransportDescriptor.h>
 #include <algorithm>
 #include <cstring>
 #include <fastdds/dds/domain/DomainParticipant.hpp>
@@ -13,7 +14,6 @@
 #include <fastdds/dds/subscriber/SampleInfo.hpp>
 #include <fastdds/dds/subscriber/Subscriber.hpp>
 #include <fastdds/dds/topic/TypeSupport.hpp>
-#include <fastdds/rtps/transport/UDPv4TransportDescriptor.h>
 
 #include "services/runtime/wire.hpp"
 
@@ -106,8 +106,8 @@ Bus::Bus(std::uint32_t domain, const std::vector<std::string>& interfaces, const
   qos.wire_protocol().builtin.discovery_config.leaseDuration = Duration_t(5, 0);
   qos.wire_protocol().builtin.discovery_config.leaseDuration_announcementperiod = Duration_t(1, 0);
   auto* factory = dds::DomainParticipantFactory::get_instance();
-  impl_->participant = made(factory->create_participant(domain, qos),
-                            "participant in domain " + std::to_string(domain));
+  impl_->participant =
+      made(factory->create_participant(domain, qos), "participant in domain " + std::to_string(domain));
   impl_->publisher = made(impl_->participant->create_publisher(dds::PUBLISHER_QOS_DEFAULT), "publisher");
   impl_->subscriber = made(impl_->participant->create_subscriber(dds::SUBSCRIBER_QOS_DEFAULT), "subscriber");
 }
@@ -174,8 +174,10 @@ struct Reader<Message>::Impl : dds::DataReaderListener {
   void on_data_available(dds::DataReader* from) override {
     while (from->take_next_sample(&wire, &info) == ReturnCode_t::RETCODE_OK) {
       if (!info.valid_data || wire.unit() != unit) continue;
-      if (decode(wire, message)) take(message, writer_id(info.publication_handle));
-      else malformed.fetch_add(1, std::memory_order_relaxed);
+      if (decode(wire, message))
+        take(message, writer_id(info.publication_handle));
+      else
+        malformed.fetch_add(1, std::memory_order_relaxed);
     }
   }
 
@@ -198,10 +200,10 @@ Reader<Message>::Reader(Bus& bus, std::uint32_t unit, Take take) : impl_(std::ma
   impl_->take = std::move(take);
   dds::DataReaderQos qos;
   apply(Topic<Message>::qos, true, qos);
-  impl_->reader = made(
-      impl_->subscriber->create_datareader(bus.impl().topic<Message>(), qos, impl_.get(),
-                                           dds::StatusMask::data_available() << dds::StatusMask::subscription_matched()),
-      std::string("reader of ") + Topic<Message>::name);
+  impl_->reader = made(impl_->subscriber->create_datareader(bus.impl().topic<Message>(), qos, impl_.get(),
+                                                            dds::StatusMask::data_available()
+                                                                << dds::StatusMask::subscription_matched()),
+                       std::string("reader of ") + Topic<Message>::name);
 }
 
 template <class Message>

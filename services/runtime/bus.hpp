@@ -20,7 +20,8 @@ struct BusError : std::runtime_error {
 /// Who wrote a sample: a hash of the writer's GUID, never 0.
 using WriterId = std::uint64_t;
 
-/// One DDS participant. UDPv4 alone, on the interfaces given; data-sharing off (fastdds.md, decision 1).
+/// One DDS participant. UDPv4 alone, on the interfaces given; data-sharing off: a peer killed
+/// while it holds a shared lock could take this process down.
 /// Its threads have the signal mask and scheduling of the thread that makes it. Throws BusError.
 class Bus {
  public:

@@ -1,4 +1,5 @@
-// What services tell each other besides the pure rooms' values: decisions in words, operations, health, manifest.
+// What services tell each other besides the pure rooms' values: decisions in words, operations, health,
+// manifest.
 #pragma once
 
 #include <cstdint>
@@ -58,7 +59,7 @@ struct Manifest {
   std::string service;
   std::uint64_t instance = 0;
   std::string build;
-  std::string settings;  // at most 8191 bytes
+  std::string settings;             // at most 8191 bytes
   std::vector<Constant> constants;  // at most 64
 };
 

@@ -16,7 +16,8 @@ inline constexpr int exit_no = 1;     ///< the answer is no: rejected, differs, 
 inline constexpr int exit_usage = 2;  ///< bad usage or input
 inline constexpr int exit_world = 3;  ///< the world failed
 
-/// SIGINT and SIGTERM as something to ask for. Make it before any other thread: they inherit the blocked signals.
+/// SIGINT and SIGTERM as something to ask for. Make it before any other thread: they inherit the blocked
+/// signals.
 class StopSignal {
  public:
   StopSignal();
@@ -27,8 +28,8 @@ class StopSignal {
   bool stopped_ = false;
 };
 
-/// The main function of a service: reads options and settings, sets up log and signals, runs `serve`, and turns
-/// whatever it throws into one line on stderr and an exit status.
+/// The main function of a service: reads options and settings, sets up log and signals, runs `serve`, and
+/// turns whatever it throws into one line on stderr and an exit status.
 using Serve = std::function<void(const Settings&, StopSignal&)>;
 struct ServiceOption {
   std::string name, description;

@@ -1,5 +1,6 @@
 // A POSIX semaphore: wakes a waiting thread without a lock, with an absolute deadline.
-// Not std::counting_semaphore: its timed wait may sleep through a release in GCC 12's library (GCC PR 104928).
+// Not std::counting_semaphore: its timed wait may sleep through a release in GCC 12's library (GCC PR
+// 104928).
 #pragma once
 
 #include <semaphore.h>

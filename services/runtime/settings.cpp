@@ -3,11 +3,11 @@
 
 #include <fmt/format.h>
 
+#include <toml++/toml.h>
 #include <algorithm>
 #include <fstream>
 #include <iterator>
 #include <sstream>
-#include <toml++/toml.h>
 
 #include "services/runtime/settings_schema.hpp"
 
@@ -17,8 +17,7 @@ namespace {
 
 [[noreturn]] void fail(const std::string& file, const toml::source_region& where, const std::string& key,
                        const std::string& what) {
-  throw SettingsError(
-      fmt::format("{}:{}:{}: {}: {}", file, where.begin.line, where.begin.column, key, what));
+  throw SettingsError(fmt::format("{}:{}:{}: {}: {}", file, where.begin.line, where.begin.column, key, what));
 }
 
 // One table being read. Keys asked for are known; what is left over at the end is an error.
@@ -41,7 +40,8 @@ class TableReader {
     const toml::node* node = find(key);
     if (!node) return;
     const toml::array* array = node->as_array();
-    if (!array || !array->is_array_of_tables()) wrong(*node, key, fmt::format("allowed: tables [[{}]]", full(key)));
+    if (!array || !array->is_array_of_tables())
+      wrong(*node, key, fmt::format("allowed: tables [[{}]]", full(key)));
     for (const toml::node& item : *array)
       read_table(item, key, [&](TableReader& inner) { fill(inner, values.emplace_back()); });
     const auto earlier = [](const Value& a, const Value& b) { return a.at_s < b.at_s; };
@@ -55,7 +55,8 @@ class TableReader {
   }
   void required(const char* key, double& value, double low, double high) {
     if (!table_.contains(key))
-      fail(file_, table_.source(), full(key), fmt::format("missing; allowed: a number from {} to {}", low, high));
+      fail(file_, table_.source(), full(key),
+           fmt::format("missing; allowed: a number from {} to {}", low, high));
     number(key, value, low, high);
   }
   void optional(const char* key, std::optional<double>& value, double low, double high) {
@@ -133,7 +134,8 @@ class TableReader {
     const auto allowed = fmt::format("allowed: a number from {} to {}", low, high);
     const std::optional<double> read = node.is_number() ? node.value<double>() : std::nullopt;
     if (!read) wrong(node, key, allowed);
-    if (!(*read >= low && *read <= high)) wrong(node, key, fmt::format("{} is out of range; {}", *read, allowed));
+    if (!(*read >= low && *read <= high))
+      wrong(node, key, fmt::format("{} is out of range; {}", *read, allowed));
     return *read;
   }
   template <class Fill>
@@ -173,7 +175,9 @@ class TableWriter {
   void optional(const char* key, const std::optional<double>& value, double low, double high) {
     if (value) number(key, *value, low, high);
   }
-  void count(const char* key, std::uint32_t value, std::int64_t, std::int64_t) { line(key, fmt::format("{}", value)); }
+  void count(const char* key, std::uint32_t value, std::int64_t, std::int64_t) {
+    line(key, fmt::format("{}", value));
+  }
   template <class Value, std::size_t n>
   void word(const char* key, Value value, const Choice<Value> (&choices)[n]) {
     for (const auto& choice : choices)

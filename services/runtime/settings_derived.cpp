@@ -84,8 +84,7 @@ std::vector<Event> events(const Settings& s) {
   return out;
 }
 
-Request request(const Settings& s, const TimedSetpoint& setpoint, std::uint64_t client,
-                std::uint32_t id) {
+Request request(const Settings& s, const TimedSetpoint& setpoint, std::uint64_t client, std::uint32_t id) {
   return {.client = client,
           .id = id,
           .given = (setpoint.active_power ? given_p : 0u) | (setpoint.reactive_power ? given_q : 0u) |

@@ -20,7 +20,8 @@ inline constexpr Choice<Quantity> quantities[] = {{"source_power", Quantity::sou
                                                   {"grid_reactance", Quantity::grid_inductance},
                                                   {"grid_voltage", Quantity::grid_voltage}};
 
-/// File has: section(name, fn), list(name, items, fn), number / count / word / words / optional / text / numbers.
+/// File has: section(name, fn), list(name, items, fn), number / count / word / words / optional / text /
+/// numbers.
 template <class File, class SettingsOrConst>
 void visit(File& file, SettingsOrConst& s) {
   file.section("unit", [&](auto& f) {

@@ -48,7 +48,8 @@ void encode(const Measurement& m, wire::Measurement& out) {
 bool decode(const wire::Measurement& in, Measurement& m) {
   constexpr std::uint32_t known = wire::HOLD_STILL | wire::PERIOD_MEAN | wire::DELAY_ONE | wire::BLOCKED;
   const std::uint32_t flags = in.flags();
-  if ((flags & ~known) != 0 || static_cast<std::uint64_t>(in.time_ns()) != in.step() * in.period_ns()) return false;
+  if ((flags & ~known) != 0 || static_cast<std::uint64_t>(in.time_ns()) != in.step() * in.period_ns())
+    return false;
   m.step = in.step();
   m.timing.period_ns = in.period_ns();
   m.timing.delay = (flags & wire::DELAY_ONE) != 0 ? 1 : 0;
@@ -233,7 +234,8 @@ bool decode(const wire::Manifest& in, Manifest& m) {
   m.instance = in.instance();
   m.build = in.build().c_str();
   m.settings = in.settings().c_str();
-  for (const wire::Constant& item : in.constants()) m.constants.push_back({item.name().c_str(), item.value()});
+  for (const wire::Constant& item : in.constants())
+    m.constants.push_back({item.name().c_str(), item.value()});
   return true;
 }
 

@@ -1,5 +1,6 @@
 // Wire ↔ domain: translates each message of weakgrid.idl and does nothing else.
-// decode gives false for what no correct peer sends: an unknown flag or enumerator, a time that is not step·period.
+// decode gives false for what no correct peer sends: an unknown flag or enumerator, a time that is not
+// step·period.
 #pragma once
 
 #include "controller/controller.hpp"
