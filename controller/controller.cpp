@@ -47,8 +47,8 @@ void Controller::reset() noexcept {
 // Bumpless: v̂_p on v_p, no error, and the μ in force taken to be what the present current needs.
 void Controller::start(SpaceVector v_p, SpaceVector i, double v_c) noexcept {
   state_ = {};
-  state_.v_p_hat = v_p;
   state_.v_p = conj(constants_.turn) * v_p;
+  state_.v_p_hat = state_.v_p;
   state_.p_r = power(v_p, i).re;
   state_.mu = (v_p + (configuration_.converter.omega * configuration_.converter.L) * times_j(i)) / v_c;
   state_.mu_before = state_.mu;
@@ -92,17 +92,20 @@ double Controller::next_p_r(const Point& x, double p_i, const ShapedReference& r
   const double T = constants_.T, delta_p = configuration_.delta_p;
   const double b = abs2(x.v_p_hat) * T / c.L;
   const double g = b * (p_i - c.C * (r.dv_cr * r.v_cr)) - T * (r.dq_r * r.q_r);
-  // (p⁺ − p_r)(|p⁺| + δ_p) + b p⁺ = g has one root of the sign of p_r δ_p + g. eq:dpr
-  const double d = x.p_r * delta_p + g;
-  if (d < 0.0) {
-    const double B = delta_p + x.p_r + b;
-    const double root = std::sqrt(B * B - 4.0 * d);
-    return B > 0.0 ? 2.0 * d / (B + root) : 0.5 * (B - root);
+  // (p⁺ − p_r)(|p⁺| + δ_p) + b p⁺ = g, a quadratic on either side of p⁺ = 0; taken for p_r ≥ 0.  eq:dpr
+  const double sign = x.p_r < 0.0 ? -1.0 : 1.0;
+  const double p_r = sign * x.p_r;
+  const double d = p_r * delta_p + sign * g;
+  const double B = delta_p - p_r + b;
+  const double discriminant = B * B + 4.0 * d;
+  // The root that p_r leads to without crossing 0, if there is one.
+  if (d >= 0.0 || (B < 0.0 && discriminant >= 0.0)) {
+    const double root = std::sqrt(discriminant);
+    if (B <= 0.0) return sign * 0.5 * (root - B);
+    return sign * (2.0 * d / (B + root));
   }
-  const double B = delta_p - x.p_r + b;
-  const double root = std::sqrt(B * B + 4.0 * d);
-  const double sum = B + root;
-  return B > 0.0 ? (sum > 0.0 ? 2.0 * d / sum : 0.0) : 0.5 * (root - B);
+  const double D = delta_p + p_r + b;
+  return sign * (2.0 * d / (D + std::sqrt(D * D - 4.0 * d)));
 }
 
 // What i, v_c and v̂_p will be at the next sample, under the μ that is in force until then: the physical
@@ -173,7 +176,13 @@ SpaceVector Controller::evaluate(const Measurement& m, SpaceVector v_p, SpaceVec
 }
 
 Modulation Controller::step(const Measurement& m) noexcept {
-  if (started_ && m.step <= last_.step) return last_;
+  if (started_ && m.step <= last_.step) {
+    // One sample from far ahead must not silence the controller: a row of older ones is the true stream.
+    older_ = m.step < last_.step ? older_ + 1 : 0;
+    if (older_ <= max_gap) return last_;
+    started_ = false;
+  }
+  older_ = 0;
   Modulation out;
   out.step = m.step;
   out.period_ns = static_cast<std::uint32_t>(configuration_.timing.period_ns);

@@ -26,16 +26,6 @@ struct ControllerConfiguration {
   double v_c = 1.8384776310850235;  ///< v_cr until the first reference, 1.3·√2
 };
 
-/// Bits of Modulation::status, as in weakgrid.idl.
-enum ControllerStatus : std::uint32_t {
-  saturated = 1,
-  bad_measurement = 2,
-  low_voltage = 4,
-  gap = 8,
-  wrong_timing = 16,
-  started = 32,
-};
-
 /// Computed once at start-up; recorded in the manifest.
 struct ControllerConstants {
   double T = 0.0;
@@ -64,7 +54,8 @@ class Controller {
 
   explicit Controller(const ControllerConfiguration& configuration);
 
-  /// The answer to a sample. A sample that is not newer than the last gets the last answer again.
+  /// The answer to a sample. A sample that is not newer than the last gets the last answer again; after more
+  /// than max_gap older ones in a row the controller starts anew with them.
   Modulation step(const Measurement& measurement) noexcept;
 
   /// False: refused, not finite, out of range or not newer than the newest known.
@@ -117,6 +108,7 @@ class Controller {
   State state_;
   Modulation last_;
   bool started_ = false;
+  std::uint64_t older_ = 0;  // samples in a row that were older than the last
 };
 
 }  // namespace weakgrid

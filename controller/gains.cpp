@@ -34,7 +34,7 @@ Gains ackermann(const Matrix& A, const Vector& B, const std::array<double, 3>& p
 
 Gains continuous_gains(const SettlingTimes& settling_times_s) {
   std::array<double, 3> poles{};
-  for (int n = 0; n < 3; ++n) poles[n] = -settling_factor / settling_times_s[n];
+  for (std::size_t n = 0; n < 3; ++n) poles[n] = -settling_factor / settling_times_s[n];
   return ackermann(error_dynamics(), Vector(0, 1, 0), poles);
 }
 
@@ -45,7 +45,7 @@ Gains sampled_gains(const SettlingTimes& settling_times_s, double T) {
   const Vector B_T =
       (Matrix::Identity() * T + A * (T * T / 2.0) + A * A * (T * T * T / 6.0)) * Vector(0, 1, 0);
   std::array<double, 3> poles{};
-  for (int n = 0; n < 3; ++n) poles[n] = exp_minus(settling_factor * T / settling_times_s[n]);
+  for (std::size_t n = 0; n < 3; ++n) poles[n] = exp_minus(settling_factor * T / settling_times_s[n]);
   return ackermann(A_T, B_T, poles);
 }
 

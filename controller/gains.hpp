@@ -29,7 +29,7 @@ Gains sampled_gains(const SettlingTimes& settling_times_s, double T);
 /// The filter for κ = κ_r + jκ_i in 1/s.
 Notch make_notch(SpaceVector kappa, double omega, double T);
 
-/// e^{−x} for x ≥ 0 from + × ÷ alone, so that every machine derives the same constants.
+/// e^{−x} for 0 ≤ x ≤ 1e15 from + × ÷ alone, so that every machine derives the same constants.
 double exp_minus(double x);
 
 }  // namespace weakgrid

@@ -29,8 +29,7 @@ class ReferenceShaper {
   /// Waits for its effective_step. Refused (false): not finite, out of range, or not newer than the newest
   /// known.
   bool accept(const Reference& reference) noexcept {
-    if (!(std::abs(reference.q) <= 10.0) || !(reference.v_c > 0.0 && reference.v_c <= 10.0)) return false;
-    if (reference.id <= newest_id_) return false;
+    if (!is_plausible(reference) || reference.id <= newest_id_) return false;
     newest_id_ = reference.id;
     pending_ = reference;
     return true;

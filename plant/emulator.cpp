@@ -74,7 +74,7 @@ void Emulator::advance(std::optional<SpaceVector> mu) noexcept {
 }
 
 bool Emulator::accept(const Reference& reference) noexcept {
-  if (!(std::abs(reference.p) <= 10.0) || reference.id <= newest_reference_id_) return false;
+  if (!is_plausible(reference) || reference.id <= newest_reference_id_) return false;
   newest_reference_id_ = reference.id;
   pending_ = reference;
   take_pending();

@@ -37,7 +37,7 @@ class Emulator {
   void advance(std::optional<SpaceVector> mu) noexcept;
 
   /// A new order: the source ramps to p from effective_step on (at once if that has passed). The last one
-  /// counts. Refused (false): not finite, |p| > 10, or not newer than the one known.
+  /// counts. Refused (false): not plausible, or not newer than the one known.
   bool accept(const Reference& reference) noexcept;
 
   /// After a trip: idle again, source at 0 until the next reference. Nothing happens without a trip.

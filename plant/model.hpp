@@ -4,6 +4,7 @@
 
 #include <cmath>
 #include <cstdint>
+#include <optional>
 
 namespace weakgrid {
 
@@ -112,14 +113,30 @@ struct Measurement {
   double p_i = 0.0;
 };
 
+/// Bits of Modulation::status, as in weakgrid.idl.
+enum ModulationStatus : std::uint32_t {
+  saturated = 1,
+  bad_measurement = 2,
+  low_voltage = 4,
+  gap = 8,
+  wrong_timing = 16,
+  started = 32,
+};
+
 /// The answer to sample k: μ as it stands in αβ at the instant (k + delay)·T at which it takes effect.
 struct Modulation {
   std::uint64_t step = 0;
   std::uint32_t period_ns = 0;     ///< echo of the contract
   std::uint32_t reference_id = 0;  ///< the reference in force, 0 = none yet
-  std::uint32_t status = 0;        ///< ControllerStatus bits
+  std::uint32_t status = 0;        ///< ModulationStatus bits
   SpaceVector mu;
 };
+
+/// What the bridge makes of an answer: none, that is hold, if the controller had no sample to go by.
+constexpr std::optional<SpaceVector> command(const Modulation& modulation) {
+  if ((modulation.status & (bad_measurement | wrong_timing)) != 0) return std::nullopt;
+  return modulation.mu;
+}
 
 /// What the gateway orders: p goes to the source, q and v_c to the controller. Both ramp from what stands.
 struct Reference {
@@ -131,6 +148,12 @@ struct Reference {
   std::uint32_t ramp_steps = 0;
 };
 
+/// Every field is a number that a unit could be ordered to. Source and controller refuse the rest alike, so
+/// that neither follows half an order.
+inline bool is_plausible(const Reference& r) {
+  return std::abs(r.p) <= 10.0 && std::abs(r.q) <= 10.0 && r.v_c > 0.0 && r.v_c <= 10.0;
+}
+
 /// A quantity on its way: raised cosine over `steps` steps from `start`, then `to`. A ramp that begins while
 /// the one before still moves carries the slope over, so value and slope never jump.
 struct Ramp {
@@ -139,6 +162,7 @@ struct Ramp {
   double slope = 0.0;  ///< slope at the start, per step
   std::uint64_t start = 0;
   std::uint32_t steps = 0;
+  std::uint32_t slope_steps = 0;  ///< within so many the slope at the start dies out, 0 … steps
 
   struct Point {
     double value;
@@ -148,19 +172,29 @@ struct Ramp {
   constexpr Point at(std::uint64_t step) const {
     if (step < start) return {from, slope};
     if (step - start >= steps) return {to, 0.0};
+    const double elapsed = static_cast<double>(step - start);
     const double n = static_cast<double>(steps);
-    const double s = static_cast<double>(step - start) / n;
-    const double r = 1.0 - s;
-    const SpaceVector half = unit_phasor(0.5 * pi * s);
-    // sin²(πs/2) is the raised cosine; s(1-s)² takes the initial slope to zero and moves neither end.
-    return {from + (to - from) * (half.im * half.im) + slope * n * (s * r * r),
-            (to - from) * (pi * half.im * half.re) / n + slope * (r * r - 2.0 * s * r)};
+    const SpaceVector half = unit_phasor(0.5 * pi * (elapsed / n));
+    // sin²(πs/2) is the raised cosine.
+    Point point{from + (to - from) * (half.im * half.im), (to - from) * (pi * half.im * half.re) / n};
+    if (step - start < slope_steps) {
+      // x(1-x)² takes the initial slope to zero and moves neither end.
+      const double m = static_cast<double>(slope_steps);
+      const double x = elapsed / m;
+      const double r = 1.0 - x;
+      point.value += slope * m * (x * r * r);
+      point.slope += slope * (r * r - 2.0 * x * r);
+    }
+    return point;
   }
 
   /// The ramp to `target` that leaves from where this one is at `step`.
   constexpr Ramp towards(double target, std::uint64_t step, std::uint32_t over_steps) const {
     const Point now = at(step);
-    return {now.value, target, now.slope, step, over_steps};
+    // No longer than what moves now takes: over a longer ramp the slope would carry the value far away.
+    const bool carries = step >= start && step - start < slope_steps;
+    const std::uint32_t fade = carries ? slope_steps : steps;
+    return {now.value, target, now.slope, step, over_steps, fade < over_steps ? fade : over_steps};
   }
 };
 

@@ -72,7 +72,7 @@ class PlantService {
       const std::optional<Modulation> modulation = exchange(emulator_.sample());
       if (stopping_) break;
       if (modulation) digest_.add(unit_, *modulation);
-      emulator_.advance(modulation ? std::optional(modulation->mu) : std::nullopt);
+      emulator_.advance(modulation ? command(*modulation) : std::nullopt);
       publish();
     }
   }
@@ -95,8 +95,7 @@ class PlantService {
             foreign_.fetch_add(1, std::memory_order_relaxed);
             continue;
           }
-          if ((modulation->status & ControllerStatus::saturated) != 0)
-            saturated_.fetch_add(1, std::memory_order_relaxed);
+          if ((modulation->status & saturated) != 0) saturated_.fetch_add(1, std::memory_order_relaxed);
           controller_is_lost_ = false;
           state_ = ServiceState::running;
           return modulation;

@@ -36,7 +36,7 @@ void RunRecord::see(const Measurement& m) {
 }
 
 void RunRecord::see(const Modulation& modulation) {
-  if ((modulation.status & ControllerStatus::saturated) != 0) ++saturated_;
+  if ((modulation.status & saturated) != 0) ++saturated_;
 }
 
 void RunRecord::see(const Decision& decision) {

@@ -34,7 +34,7 @@ SimulationResult simulate(const Settings& settings,
     const Modulation modulation = controller.step(measurement);
     digest.add(settings.unit.number, modulation);
     if (watch) watch(measurement, modulation);
-    emulator.advance(modulation.mu);
+    emulator.advance(command(modulation));
   }
   result.digest = digest.hex();
   result.trip = emulator.trip();

@@ -1,6 +1,7 @@
 // The law that ties the rooms together: what the envelope admits, the closed loop settles at, unsaturated and
-// within limits; what lies beyond λ it does not. And where the loop's own dynamics ask for more than the envelope.
-// WEAKGRID_LAW_COUNT sets how many random cases (default 60), WEAKGRID_LAW_SEED which; a failure prints the input.
+// within limits; what lies beyond λ it does not. And where the loop's own dynamics ask for more than the
+// envelope. WEAKGRID_LAW_COUNT sets how many random cases (default 60), WEAKGRID_LAW_SEED which; a failure
+// prints the input.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -49,9 +50,10 @@ struct Input {
 
 std::ostream& operator<<(std::ostream& out, const Input& x) {
   out.precision(17);
-  return out << "seed " << law_seed() << ": Z_g = " << x.Z_g.re << " + j" << x.Z_g.im << ", p = " << x.setpoint.p
-             << ", q = " << x.setpoint.q << ", v_c = " << x.setpoint.v_c << ", T = " << x.timing.period_ns
-             << " ns, delay " << int{x.timing.delay} << (x.timing.hold == Hold::still ? ", still" : ", turning");
+  return out << "seed " << law_seed() << ": Z_g = " << x.Z_g.re << " + j" << x.Z_g.im
+             << ", p = " << x.setpoint.p << ", q = " << x.setpoint.q << ", v_c = " << x.setpoint.v_c
+             << ", T = " << x.timing.period_ns << " ns, delay " << int{x.timing.delay}
+             << (x.timing.hold == Hold::still ? ", still" : ", turning");
 }
 
 Timing draw_timing(Draw& draw) {
@@ -97,11 +99,10 @@ double damping(const Input& x, const SteadyState& ss) {
   return (grid.R_g + converter.L * (K.k2 + K.k1 * tau)) / (converter.L + grid.L_g);
 }
 
-// Where the loop follows the envelope. Outside, with the paper's settling times of 1, 1.1 and 20 ms, it may not:
-// at 100 µs with one sample of delay even the idle unit (p = q = 0) loses X_g = 0.3, since a held sample and the
-// delay take more than the 414/s that K2·L/(L+L_g) leaves. Of 4385 admitted setpoints (p ≥ −0.3, 100 µs, delay 1,
-// RMS ramps) 415 did not settle; none of them had a damping of 600/s and λ ≥ 0.6.
-bool is_damped(const Input& x, const SteadyState& ss) { return damping(x, ss) >= 650.0 && ss.lambda >= 0.6; }
+// Where the loop follows the envelope. Nearer to λ = 0 or less damped it may not: of 4385 admitted setpoints
+// with p ≥ −0.3 (100 µs, delay 1, ρ = 0.6) 155 did not settle, 6 of them with p ≥ 0; of those with λ ≥ 0.55
+// the best damped had 332/s (363/s at 50 µs). This leaves out 5 % of the setpoints with p ≥ 0.
+bool is_damped(const Input& x, const SteadyState& ss) { return damping(x, ss) >= 450.0 && ss.lambda >= 0.55; }
 
 TEST(ClosedLoopLaw, WhatTheEnvelopeAdmitsTheLoopSettlesAtUnsaturatedAndWithinLimits) {
   Draw draw;
@@ -163,12 +164,12 @@ void expect_stays_idle(std::int64_t period_ns, std::uint8_t delay, double X_g) {
   EXPECT_NEAR(outcome.settled.i, 0.0, 1e-9) << "X_g = " << X_g;
 }
 
-TEST_P(IdleUnit, KeepsItsOperatingPointUpToXg025At100Microseconds) {
-  for (const double X_g : {0.0, 0.1, 0.2, 0.25}) expect_stays_idle(100'000, GetParam(), X_g);
+TEST_P(IdleUnit, KeepsItsOperatingPointUpToXg035At100Microseconds) {
+  for (const double X_g : {0.0, 0.1, 0.2, 0.3, 0.35}) expect_stays_idle(100'000, GetParam(), X_g);
 }
 
-TEST_P(IdleUnit, KeepsItsOperatingPointUpToXg03At50Microseconds) {
-  for (const double X_g : {0.0, 0.1, 0.2, 0.3}) expect_stays_idle(50'000, GetParam(), X_g);
+TEST_P(IdleUnit, KeepsItsOperatingPointUpToXg04At50Microseconds) {
+  for (const double X_g : {0.0, 0.1, 0.2, 0.3, 0.4}) expect_stays_idle(50'000, GetParam(), X_g);
 }
 
 }  // namespace

@@ -15,9 +15,11 @@ namespace {
 
 constexpr SettlingTimes paper_s{0.001, 0.0011, 0.020};
 
-// Digits that a page prints: `printed` is `exact` cut off, not rounded, at a unit in the last place of `unit`.
+// Digits that a page prints: `printed` is `exact` cut off, not rounded, at a unit in the last place of
+// `unit`.
 void expect_cut_off(double exact, double printed, double unit) {
-  EXPECT_EQ(std::floor(exact / unit), std::round(printed / unit)) << exact << " is not printed as " << printed;
+  EXPECT_EQ(std::floor(exact / unit), std::round(printed / unit))
+      << exact << " is not printed as " << printed;
 }
 
 // Half a unit of the ninth significant digit.
@@ -77,7 +79,8 @@ Eigen::Vector3d one_period(const Eigen::Vector3d& x, const Gains& K, double T) {
 }
 
 TEST(SampledGains, PutThePolesOfTheHeldTripleWhereAsked) {
-  for (const SettlingTimes& times_s : {paper_s, SettlingTimes{0.002, 0.003, 0.050}, SettlingTimes{0.0008, 0.005, 0.1}})
+  for (const SettlingTimes& times_s :
+       {paper_s, SettlingTimes{0.002, 0.003, 0.050}, SettlingTimes{0.0008, 0.005, 0.1}})
     for (const double T : {50e-6, 100e-6, 200e-6}) {
       const Gains K = sampled_gains(times_s, T);
       Eigen::Matrix3d closed;
@@ -92,7 +95,8 @@ TEST(SampledGains, PutThePolesOfTheHeldTripleWhereAsked) {
 
 TEST(ExpMinus, AgreesWithTheStandardLibrary) {
   double worst = 0.0;
-  for (double x = 0.0; x < 30.0; x += 0.000'37) worst = std::max(worst, std::abs(exp_minus(x) / std::exp(-x) - 1.0));
+  for (double x = 0.0; x < 30.0; x += 0.000'37)
+    worst = std::max(worst, std::abs(exp_minus(x) / std::exp(-x) - 1.0));
   // Each halving of the argument doubles the relative error: 2⁶ up to 30, from a rounding or two.
   EXPECT_LT(worst, 128 * std::numeric_limits<double>::epsilon());
 }

@@ -1,4 +1,5 @@
-// A unit and its controller closed into a loop in one process, and what is seen of it: for tests of both together.
+// A unit and its controller closed into a loop in one process, and what is seen of it: for tests of both
+// together.
 #pragma once
 
 #include <algorithm>
@@ -14,6 +15,7 @@ namespace weakgrid::test {
 
 inline constexpr double v_c_nominal = 1.8384776310850235;  // 1.3·√2
 inline constexpr double grid_period_s = 0.020;
+inline constexpr SettlingTimes paper_settling_times_s{0.001, 0.0011, 0.020};
 
 // In seconds and not in steps: the same profile runs at every sampling period.
 struct Order {
@@ -37,18 +39,21 @@ inline std::vector<Order> paper_profile(double p = 0.707, double q = 0.707) {
 }
 
 /// Limits that only a lost operating point reaches.
-inline constexpr Protection wide_protection{.i_max = 100.0, .v_c_max = 100.0, .v_c_min = 0.1, .max_holds = 20};
+inline constexpr Protection wide_protection{
+    .i_max = 100.0, .v_c_max = 100.0, .v_c_min = 0.1, .max_holds = 20};
 
 struct LoopCase {
-  Timing timing;
-  Grid grid;
+  Timing timing{};
+  Grid grid{};
   double C = 4.8e-4;
   double rho = 0.6;
   Law law = Law::filtered;
-  Protection protection;
+  SettlingTimes settling_times_s = ControllerConfiguration{}.settling_times_s;
+  Protection protection{};
   unsigned substeps = 10;
   std::vector<Order> orders = paper_profile();
-  std::vector<TimedEvent> events;
+  std::uint32_t first_reference_id = 1;
+  std::vector<TimedEvent> events{};
   double end_s = 0.40;
 };
 
@@ -93,6 +98,7 @@ inline ControllerConfiguration controller_configuration(const LoopCase& loop_cas
   configuration.timing = loop_case.timing;
   configuration.law = loop_case.law;
   configuration.rho = loop_case.rho;
+  configuration.settling_times_s = loop_case.settling_times_s;
   configuration.v_c = v_c_nominal;
   return configuration;
 }
@@ -133,7 +139,8 @@ class Loop {
     const double n = static_cast<double>(steps);
     // A mean over a period T shortens what turns at ω to sinc(ωT/2): undone in the product of two means.
     const double half_angle = 0.5 * Converter{}.omega * period_s(case_.timing);
-    const double sinc = case_.timing.sampling == Sampling::period_mean ? std::sin(half_angle) / half_angle : 1.0;
+    const double sinc =
+        case_.timing.sampling == Sampling::period_mean ? std::sin(half_angle) / half_angle : 1.0;
     const std::uint64_t saturated_before = seen_.saturated_steps;
     const double stored_before = stored_energy();
     Settled mean;
@@ -178,7 +185,7 @@ class Loop {
 
   Reference reference(std::size_t n) const {
     const Order& order = case_.orders[n];
-    return {.id = static_cast<std::uint32_t>(n + 1),
+    return {.id = case_.first_reference_id + static_cast<std::uint32_t>(n),
             .p = order.p,
             .q = order.q,
             .v_c = order.v_c,
