@@ -38,20 +38,8 @@ find_structs() {
   done
 }
 
-# Installs the packages of this folder's lock once; parallel callers wait for the first.
-install_packages() {
-  local into=$1 file
-  mkdir -p "$into"
-  exec 9> "$into/.lock"
-  flock 9
-  if cmp -s "$here/package-lock.json" "$into/node_modules/.installed-lock" &&
-    cmp -s "$here/package.json" "$into/package.json"; then
-    return
-  fi
-  for file in package.json package-lock.json; do cp "$here/$file" "$into/$file"; done
-  (cd "$into" && npm ci --ignore-scripts --no-audit --no-fund) || fail 3 "npm ci failed in $into, see above"
-  cp "$here/package-lock.json" "$into/node_modules/.installed-lock"
-}
+# shellcheck source=tests/support/npm_packages.sh
+source "$here/../support/npm_packages.sh"
 
 [ -s "$idl" ] || fail 2 "there is no $idl"
 [ -n "$(structs)" ] || fail 2 "$idl declares no struct"
@@ -76,7 +64,7 @@ case "${1:-} $#" in
     need npm
     mkdir -p "$2"
     modules=$(readlink -f -- "$2")/interop
-    install_packages "$modules"
+    install_packages "$here" "$modules"
     cd "$scratch"
     node "$here/idl_accepted_by_omgidl_parser.mjs" "$idl" "$modules"
     ;;
