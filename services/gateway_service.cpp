@@ -34,6 +34,7 @@ class GatewayService {
  private:
   void decide(const Request& request) {
     const std::lock_guard lock(mutex_);
+    if (!has_looked_around()) return;  // clients repeat
     const Decision decision = arbiter_.decide(request, step_);
     if (!decision.repeated) {
       if (decision.reference) issue(*decision.reference);
@@ -72,11 +73,24 @@ class GatewayService {
     if (health.service == "gateway" || health.state == ServiceState::stopped) return;
     const std::lock_guard lock(mutex_);
     arbiter_.note_foreign_reference(health.reference_id);
+    heard_plant_ = heard_plant_ || health.service == "plant";
+    heard_controller_ = heard_controller_ || health.service == "controller";
+  }
+
+  // Before it knows which reference plant and controller hold, a restarted gateway would issue one that they
+  // refuse as old. Where nobody is, nobody is heard. With mutex_ held.
+  bool has_looked_around() const {
+    return (heard_plant_ && heard_controller_) ||
+           std::chrono::steady_clock::now() - started_ > std::chrono::seconds(3);
   }
 
   Health health() {
     Health health;
-    health.state = ServiceState::running;
+    {
+      const std::lock_guard lock(mutex_);
+      health.state = has_looked_around() ? ServiceState::running : ServiceState::starting;
+    }
+    if (health.state == ServiceState::starting) health.text = "looks around for plant and controller";
     health.step = step_;
     health.reference_id = reference_id_;
     health.counters = {{"accepted", accepted_},
@@ -92,6 +106,8 @@ class GatewayService {
   Arbiter arbiter_;
   OneWriter one_plant_;
   bool was_blocked_ = false;
+  bool heard_plant_ = false, heard_controller_ = false;
+  const std::chrono::steady_clock::time_point started_ = std::chrono::steady_clock::now();
   std::atomic<std::uint64_t> step_{0}, accepted_{0}, rejected_{0}, unsent_{0}, foreign_{0};
   std::atomic<std::uint32_t> reference_id_{0};
 

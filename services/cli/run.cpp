@@ -2,8 +2,10 @@
 #include <fmt/format.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <chrono>
 #include <nlohmann/json.hpp>
+#include <set>
 
 #include "services/cli/client.hpp"
 #include "services/cli/commands.hpp"
@@ -29,10 +31,13 @@ struct Options {
 // One scenario against services that run.
 class Conductor {
  public:
-  Conductor(const Settings& settings, Processes& processes, StopSignal& stop)
+  using Instances = std::set<std::pair<std::string, std::uint64_t>>;  // (service, instance)
+
+  Conductor(const Settings& settings, Instances mine, Processes& processes, StopSignal& stop)
       : settings_(settings),
         processes_(processes),
         stop_(stop),
+        mine_(std::move(mine)),
         client_(settings.unit.domain, settings.unit.number, settings.dds.interfaces),
         record_(settings),
         measurements_(client_.bus(), settings.unit.number,
@@ -55,12 +60,13 @@ class Conductor {
     Outcome outcome;
     outcome.over_dds = true;
     wait("the services to start", [this](Patience p) {
-      return client_.wait_for(p, [](const Client::Peers& peers) {
-        std::size_t here = 0;
-        for (const auto& [key, health] : peers) here += health.state != ServiceState::stopped ? 1 : 0;
-        return here >= 3;
+      return client_.wait_for(p, [this](const Client::Peers& peers) {
+        return std::all_of(mine_.begin(), mine_.end(),
+                           [&](const auto& key) { return peers.count(key) != 0; });
       });
     });
+    wait("whoever served this unit before to be gone",
+         [this](Patience) { return company() == Company::none; });
     wait("plant and observer to meet", [this](Patience) {
       stop_.wait(Patience(5));
       return measurements_.matched() > 0 && modulations_.matched() > 0;
@@ -79,7 +85,8 @@ class Conductor {
       const std::uint32_t id = answer->decision.reference->id;
       for (const char* reader : {"plant", "controller"})
         wait(fmt::format("the {} to take reference {}", reader, id), [&](Patience p) {
-          return client_.wait_for(reader, p, [id](const Health& h) { return h.reference_id >= id; });
+          return client_.wait_for(reader, p,
+                                  [&](const Health& h) { return is_mine(h) && h.reference_id >= id; });
         });
     }
     advance(record_.end_step(), outcome);
@@ -95,22 +102,28 @@ class Conductor {
       if (stop_.wait(Patience(0))) throw std::runtime_error("stopped by a signal");
       if (const std::string name = processes_.ended(); !name.empty())
         throw std::runtime_error(name + " has ended by itself; its reason is above");
-      if (is_shared())
-        throw std::runtime_error(fmt::format("unit {} is already served in domain {}: give another --domain",
-                                             settings_.unit.number, settings_.unit.domain));
+      refuse_company();
       if (std::chrono::steady_clock::now() > deadline)
         throw std::runtime_error("gave up waiting for " + what);
     }
   }
 
-  // Somebody else serves the same unit of the same domain.
-  bool is_shared() const {
-    std::map<std::string, int> count;
-    for (const auto& [key, health] : client_.peers())
-      if (health.state != ServiceState::stopped && health.wall_time_ns >= started_ns_ &&
-          ++count[key.first] > 1)
-        return true;
-    return false;
+  enum class Company : std::uint8_t { none, silent, alive };
+  // Somebody else's services of this unit: alive if one has spoken since this run began; silent ones may be
+  // dead, and then say nothing for longer than the second that health takes.
+  Company company() const {
+    Company company = Company::none;
+    for (const auto& [key, health] : client_.peers()) {
+      if (health.state == ServiceState::stopped || mine_.count(key) != 0) continue;
+      if (health.wall_time_ns >= started_ns_) return Company::alive;
+      if (wall_time_ns() - started_ns_ < 2'000'000'000) company = Company::silent;
+    }
+    return company;
+  }
+  void refuse_company() const {
+    if (company() == Company::alive)
+      throw std::runtime_error(fmt::format("unit {} is already served in domain {}: give another --domain",
+                                           settings_.unit.number, settings_.unit.domain));
   }
 
   // Lets the unit go on to `step` and wait there.
@@ -120,8 +133,8 @@ class Conductor {
       throw std::runtime_error("the plant takes no operation");
     std::uint64_t last_step = 0;
     auto deadline = std::chrono::steady_clock::now() + to_start;
-    while (!client_.wait_for("plant", Patience(200), [step](const Health& h) {
-      return h.state == ServiceState::waiting && h.step >= step && !h.digest.empty();
+    while (!client_.wait_for("plant", Patience(200), [&](const Health& h) {
+      return is_mine(h) && h.state == ServiceState::waiting && h.step >= step && !h.digest.empty();
     })) {
       if (stop_.wait(Patience(0))) throw std::runtime_error("stopped by a signal");
       if (const std::string name = processes_.ended(); !name.empty())
@@ -135,9 +148,11 @@ class Conductor {
     outcome.wall_s += std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
   }
 
+  // Should another start serve the same unit meanwhile, its word does not count.
+  bool is_mine(const Health& health) const { return mine_.count({health.service, health.instance}) != 0; }
   Health health_of(const std::string& service) const {
     for (const auto& [key, health] : client_.peers())
-      if (key.first == service) return health;
+      if (key.first == service && is_mine(health)) return health;
     return {};
   }
 
@@ -158,6 +173,7 @@ class Conductor {
   const Settings& settings_;
   Processes& processes_;
   StopSignal& stop_;
+  const Instances mine_;
   const std::int64_t started_ns_ = wall_time_ns();
   Client client_;
   std::mutex mutex_;
@@ -172,17 +188,25 @@ int run(const Options& options) {
   settings.unit.domain = options.domain.value_or(settings.unit.domain);
   StopSignal stop;
   Processes processes;
-  std::vector<std::string> arguments{"--settings", options.file, "--log",
-                                     options.log,  "--domain",   std::to_string(settings.unit.domain)};
-  processes.start("weakgrid-controller", arguments);
-  processes.start("weakgrid-gateway", arguments);
-  arguments.insert(arguments.end(), {"--until", "0"});
-  processes.start("weakgrid-plant", arguments);
+  Conductor::Instances instances;
+  const auto start = [&](const std::string& service, const std::vector<std::string>& more) {
+    const std::uint64_t instance = random_identity();
+    std::vector<std::string> arguments{"--settings", options.file,
+                                       "--log",      options.log,
+                                       "--domain",   std::to_string(settings.unit.domain),
+                                       "--instance", std::to_string(instance)};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    processes.start("weakgrid-" + service, arguments);
+    instances.emplace(service, instance);
+  };
+  start("controller", {});
+  start("gateway", {});
+  start("plant", {"--until", "0"});
   if (isatty(STDERR_FILENO) != 0)
     fmt::print(stderr, "weakgrid: plays \"{}\" over DDS, domain {}\n", settings.scenario->title,
                settings.unit.domain);
 
-  Outcome outcome = Conductor(settings, processes, stop).play();
+  Outcome outcome = Conductor(settings, instances, processes, stop).play();
   const bool stopped_well = processes.stop();
   if (options.json)
     fmt::print("{}\n", to_json(settings, outcome).dump(2));

@@ -25,7 +25,7 @@ Announcer::Announcer(Bus& bus, const Settings& settings, const std::string& serv
     : health_(bus, settings.unit.number),
       manifest_(bus, settings.unit.number),
       service_(service),
-      instance_(random_identity()) {
+      instance_(settings.unit.instance != 0 ? settings.unit.instance : random_identity()) {
   const Manifest manifest{.service = service_,
                           .instance = instance_,
                           .build = build_text(),

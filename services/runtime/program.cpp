@@ -9,6 +9,7 @@
 
 #include <CLI/CLI.hpp>
 #include <cstdio>
+#include <limits>
 
 #include "services/runtime/bus.hpp"
 
@@ -60,18 +61,22 @@ int report_exception(const std::string& program) {
 }
 
 int run_service(int argc, char** argv, const std::string& name, const std::string& description,
-                const std::vector<ServiceOption>& options, const Serve& serve) {
+                const std::vector<ServiceOption>& options, const Serve& serve, const AddOptions& add) {
   CLI::App app(description, name);
   std::string file;
   std::string level = "info";
   std::optional<std::uint32_t> domain, unit;
+  std::uint64_t instance = 0;
   app.add_option("--settings", file, "settings or scenario file, TOML; without it, all defaults");
   app.add_option("--domain", domain, "DDS domain, instead of the file's")->check(CLI::Range(0, 230));
   app.add_option("--unit", unit, "unit number, instead of the file's")->check(CLI::Range(1u, 4294967295u));
+  app.add_option("--instance", instance, "identity in health and manifest, instead of a random one")
+      ->check(CLI::Range(std::uint64_t{1}, std::numeric_limits<std::uint64_t>::max()));
   app.add_option("--log", level, "what is worth a line on stderr")
       ->check(CLI::IsMember({"debug", "info", "warning", "error"}))
       ->capture_default_str();
   for (const ServiceOption& option : options) app.add_option(option.name, *option.value, option.description);
+  if (add) add(app);
   app.footer(
       fmt::format("Example: {} --settings deploy/settings/paper-weak.toml\n"
                   "Stops on SIGINT or SIGTERM. Exit: 0 done, 2 bad usage or settings, 3 the world failed.",
@@ -86,6 +91,7 @@ int run_service(int argc, char** argv, const std::string& name, const std::strin
     Settings settings = file.empty() ? Settings{} : load_settings(file);
     settings.unit.domain = domain.value_or(settings.unit.domain);
     settings.unit.number = unit.value_or(settings.unit.number);
+    settings.unit.instance = instance;
     StopSignal stop;
     serve(settings, stop);
     return exit_done;

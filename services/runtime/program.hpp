@@ -8,6 +8,10 @@
 
 #include "services/runtime/settings.hpp"
 
+namespace CLI {
+class App;
+}
+
 namespace weakgrid {
 
 /// Exit status of every program.
@@ -35,8 +39,10 @@ struct ServiceOption {
   std::string name, description;
   std::optional<std::uint64_t>* value;
 };
+/// `add` puts options of any other kind on the command line.
+using AddOptions = std::function<void(CLI::App&)>;
 int run_service(int argc, char** argv, const std::string& name, const std::string& description,
-                const std::vector<ServiceOption>& options, const Serve& serve);
+                const std::vector<ServiceOption>& options, const Serve& serve, const AddOptions& add = {});
 
 /// The name in the log and what is worth a line: "debug", "info", "warning", "error".
 void set_up_log(const std::string& name, const std::string& level);

@@ -5,8 +5,8 @@
 
 #include <toml++/toml.h>
 #include <algorithm>
+#include <filesystem>
 #include <fstream>
-#include <iterator>
 #include <sstream>
 
 #include "services/runtime/settings_schema.hpp"
@@ -196,11 +196,22 @@ class TableWriter {
   }
 
  private:
-  static std::string real(double value) { return fmt::format("{:#}", value); }
+  // The shortest digits that give the number back; with a point or an exponent, TOML reads a float.
+  static std::string real(double value) {
+    const std::string text = fmt::format("{}", value);
+    return text.find_first_of(".e") == std::string::npos ? text + ".0" : text;
+  }
+  // Not toml++'s own writer: it drops a newline that a text begins with.
   static std::string quoted(const std::string& value) {
-    std::ostringstream out;
-    out << toml::value<std::string>(value);
-    return out.str();
+    std::string text = "\"";
+    for (const char c : value) {
+      if (c == '"' || c == '\\') text += '\\';
+      if (static_cast<unsigned char>(c) < 0x20 || c == 0x7f)
+        text += fmt::format("\\u{:04X}", static_cast<unsigned>(c));
+      else
+        text += c;
+    }
+    return text + '"';
   }
   void line(const char* key, const std::string& value) { text_ += fmt::format("{} = {}\n", key, value); }
   template <class Fill>
@@ -228,21 +239,41 @@ Settings parse_settings(const std::string& text, const std::string& name) {
   TableReader reader(name, table, "");
   visit(reader, settings);
   reader.finish();
-  const auto rising = [&](const char* key, double low, double high) {
-    if (!(low < high))
-      fail(name, table.source(), key, fmt::format("{} is not above its minimum, {}", high, low));
+  const auto before_end = [&](const char* list, const auto& items) {
+    for (std::size_t n = 0; n < items.size(); ++n)
+      if (!(items[n].at_s < settings.scenario->end_s))
+        fail(name, table.at_path(fmt::format("scenario.{}[{}].at_s", list, n)).node()->source(),
+             fmt::format("scenario.{}.at_s", list),
+             fmt::format("{} is not before the end; allowed: below end_s = {}", items[n].at_s,
+                         settings.scenario->end_s));
   };
-  rising("protection.dc_voltage_max", settings.protection.dc_voltage_min, settings.protection.dc_voltage_max);
-  rising("gateway.dc_voltage_max", settings.gateway.dc_voltage_min, settings.gateway.dc_voltage_max);
-  rising("gateway.pcc_voltage_max", settings.gateway.pcc_voltage_min, settings.gateway.pcc_voltage_max);
+  if (settings.scenario) {
+    before_end("setpoint", settings.scenario->setpoints);
+    before_end("event", settings.scenario->events);
+  }
+  // Of a pair, the key that the file has is the one to mend.
+  const auto rising = [&](const std::string& section, const std::string& quantity, double low, double high) {
+    if (low < high) return;
+    const std::string max = section + "." + quantity + "_max", min = section + "." + quantity + "_min";
+    const std::string& key = table.at_path(max) ? max : min;
+    fail(name, table.at_path(key).node()->source(), key,
+         fmt::format("the maximum {} is not above the minimum {}; allowed: a maximum above its minimum", high,
+                     low));
+  };
+  rising("protection", "dc_voltage", settings.protection.dc_voltage_min, settings.protection.dc_voltage_max);
+  rising("gateway", "dc_voltage", settings.gateway.dc_voltage_min, settings.gateway.dc_voltage_max);
+  rising("gateway", "pcc_voltage", settings.gateway.pcc_voltage_min, settings.gateway.pcc_voltage_max);
   return settings;
 }
 
 Settings load_settings(const std::string& path) {
   std::ifstream file(path, std::ios::binary);
-  std::string text{std::istreambuf_iterator<char>(file), {}};
-  if (!file.is_open() || file.bad()) throw SettingsError(path + ": cannot be read");
-  return parse_settings(text, path);
+  std::ostringstream text;
+  // Not by istreambuf_iterator: that throws where a folder opens but does not read.
+  if (!file.is_open() || std::filesystem::is_directory(path)) throw SettingsError(path + ": cannot be read");
+  if (file.peek() != std::ifstream::traits_type::eof()) text << file.rdbuf();
+  if (file.bad() || text.bad()) throw SettingsError(path + ": cannot be read");
+  return parse_settings(text.str(), path);
 }
 
 std::string to_toml(const Settings& settings) {

@@ -45,6 +45,7 @@ struct Settings {
   struct {
     std::uint32_t number = 1;
     std::uint32_t domain = 0;
+    std::uint64_t instance = 0;  // not in the file: the identity of this start, 0 = draw one
   } unit;
   struct {
     double frequency_hz = 50.0;

@@ -111,6 +111,7 @@ void encode(const DecisionMessage& m, wire::SetpointDecision& out) {
   out.id(d.id);
   out.client(d.client);
   out.verdict(static_cast<wire::Verdict>(d.verdict));
+  out.field(static_cast<wire::RequestField>(d.field));
   out.active_power(d.setpoint.p);
   out.reactive_power(d.setpoint.q);
   out.dc_voltage(d.setpoint.v_c);
@@ -133,6 +134,7 @@ bool decode(const wire::SetpointDecision& in, DecisionMessage& m) {
   d.client = in.client();
   d.id = in.id();
   if (!decode_enum(in.verdict(), Verdict::unit_blocked, d.verdict)) return false;
+  if (!decode_enum(in.field(), Field::effective_step, d.field)) return false;
   d.setpoint = {in.active_power(), in.reactive_power(), in.dc_voltage()};
   if (in.reference_id() != 0)
     d.reference = Reference{.id = in.reference_id(),
