@@ -39,6 +39,8 @@ Announcer::~Announcer() {
   goodbye.state = ServiceState::stopped;
   goodbye.text = "stopped";
   say(goodbye);
+  // The participant goes next, and with it what was not taken.
+  health_.wait_until_taken(std::chrono::milliseconds(500));
 }
 
 void Announcer::say(Health health) noexcept {

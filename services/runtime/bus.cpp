@@ -154,6 +154,13 @@ bool Writer<Message>::write(const Message& message) noexcept {
 }
 
 template <class Message>
+bool Writer<Message>::wait_until_taken(std::chrono::milliseconds patience) noexcept {
+  const Duration_t span(static_cast<std::int32_t>(patience.count() / 1000),
+                        static_cast<std::uint32_t>(patience.count() % 1000 * 1'000'000));
+  return impl_->writer->wait_for_acknowledgments(span) == ReturnCode_t::RETCODE_OK;
+}
+
+template <class Message>
 int Writer<Message>::matched() const noexcept {
   return impl_->matched;
 }

@@ -3,6 +3,7 @@
 
 #include <array>
 #include <atomic>
+#include <chrono>
 #include <cstdint>
 #include <functional>
 #include <memory>
@@ -45,6 +46,8 @@ class Writer {
   ~Writer();
   /// False: not sent. For a sample topic the next one replaces it; a command or state has no room left.
   [[nodiscard]] bool write(const Message& message) noexcept;
+  /// Waits until every matched reader has what was written; false after `patience`. Reliable topics only.
+  bool wait_until_taken(std::chrono::milliseconds patience) noexcept;
   /// Readers matched now.
   int matched() const noexcept;
 

@@ -1,0 +1,406 @@
+// Wire ↔ domain: what is sent is what is received, bit for bit, through the wire type and its bytes; what no
+// correct peer sends is refused. No network.
+#include "services/runtime/wire.hpp"
+
+#include <gtest/gtest.h>
+
+#include <bit>
+#include <limits>
+#include <random>
+
+namespace weakgrid {
+namespace {
+
+constexpr int rounds = 2000;
+
+// Seeded per test; bits without a pattern, and now and then what is special about a type.
+class Random {
+ public:
+  template <class Integer>
+  Integer whole() {
+    constexpr Integer special[] = {Integer{0}, Integer{1}, std::numeric_limits<Integer>::max(),
+                                   std::numeric_limits<Integer>::min()};
+    const std::uint64_t bits = generator_();
+    return bits % 8 == 0 ? special[bits / 8 % 4] : static_cast<Integer>(generator_());
+  }
+  double real() {
+    constexpr double special[] = {0.0,
+                                  -0.0,
+                                  std::numeric_limits<double>::infinity(),
+                                  std::numeric_limits<double>::quiet_NaN(),
+                                  std::numeric_limits<double>::denorm_min(),
+                                  -std::numeric_limits<double>::max()};
+    const std::uint64_t bits = generator_();
+    return bits % 4 == 0 ? special[bits / 4 % 6] : std::bit_cast<double>(generator_());
+  }
+  /// 0 … last.
+  std::uint32_t up_to(std::uint32_t last) {
+    return static_cast<std::uint32_t>(generator_() % (last + std::uint64_t{1}));
+  }
+  bool flag() { return generator_() % 2 == 0; }
+  std::string text(std::uint32_t most) {
+    std::string text(up_to(most), ' ');
+    for (char& c : text) c = static_cast<char>(1 + up_to(254));  // any byte but the end
+    return text;
+  }
+
+ private:
+  std::mt19937_64 generator_{20240229};
+};
+
+std::uint64_t bits(double x) { return std::bit_cast<std::uint64_t>(x); }
+
+#define EXPECT_SAME_BITS(a, b) EXPECT_EQ(bits(a), bits(b))
+#define EXPECT_SAME_VECTOR(a, b)    \
+  EXPECT_SAME_BITS((a).re, (b).re); \
+  EXPECT_SAME_BITS((a).im, (b).im)
+
+// Through the wire type, its bytes, and back.
+template <class Message>
+Message sent_and_received(const Message& message) {
+  typename Topic<Message>::Wire out, in;
+  encode(message, out);
+  typename Topic<Message>::Type type;
+  eprosima::fastrtps::rtps::SerializedPayload_t bytes(type.getSerializedSizeProvider(&out)());
+  EXPECT_TRUE(type.serialize(&out, &bytes));
+  EXPECT_TRUE(type.deserialize(&bytes, &in));
+  Message received;
+  EXPECT_TRUE(decode(in, received));
+  return received;
+}
+
+Measurement random_measurement(Random& random) {
+  Measurement m;
+  m.step = random.whole<std::uint64_t>();
+  m.timing.period_ns = random.whole<std::uint32_t>();
+  m.timing.delay = random.flag() ? 1 : 0;
+  m.timing.hold = random.flag() ? Hold::still : Hold::turning;
+  m.timing.sampling = random.flag() ? Sampling::period_mean : Sampling::instantaneous;
+  m.reference_id = random.whole<std::uint32_t>();
+  m.blocked = random.flag();
+  m.v_p = {random.real(), random.real()};
+  m.i = {random.real(), random.real()};
+  m.v_c = random.real();
+  m.p_i = random.real();
+  return m;
+}
+
+TEST(Wire, MeasurementIsReceivedAsSentBitForBit) {
+  Random random;
+  for (int n = 0; n < rounds; ++n) {
+    const Measurement sent = random_measurement(random);
+    const Measurement received = sent_and_received(sent);
+    EXPECT_EQ(received.step, sent.step);
+    EXPECT_TRUE(received.timing == sent.timing);
+    EXPECT_EQ(received.reference_id, sent.reference_id);
+    EXPECT_EQ(received.blocked, sent.blocked);
+    EXPECT_SAME_VECTOR(received.v_p, sent.v_p);
+    EXPECT_SAME_VECTOR(received.i, sent.i);
+    EXPECT_SAME_BITS(received.v_c, sent.v_c);
+    EXPECT_SAME_BITS(received.p_i, sent.p_i);
+    ASSERT_FALSE(HasFailure()) << "round " << n;
+  }
+}
+
+TEST(Wire, ModulationIsReceivedAsSentBitForBit) {
+  Random random;
+  for (int n = 0; n < rounds; ++n) {
+    const Modulation sent{.step = random.whole<std::uint64_t>(),
+                          .period_ns = random.whole<std::uint32_t>(),
+                          .reference_id = random.whole<std::uint32_t>(),
+                          .status = random.whole<std::uint32_t>(),
+                          .mu = {random.real(), random.real()}};
+    const Modulation received = sent_and_received(sent);
+    EXPECT_EQ(received.step, sent.step);
+    EXPECT_EQ(received.period_ns, sent.period_ns);
+    EXPECT_EQ(received.reference_id, sent.reference_id);
+    EXPECT_EQ(received.status, sent.status);
+    EXPECT_SAME_VECTOR(received.mu, sent.mu);
+    ASSERT_FALSE(HasFailure()) << "round " << n;
+  }
+}
+
+TEST(Wire, RequestIsReceivedAsSentBitForBit) {
+  Random random;
+  for (int n = 0; n < rounds; ++n) {
+    const Request sent{.client = random.whole<std::uint64_t>(),
+                       .id = random.whole<std::uint32_t>(),
+                       .given = random.whole<std::uint32_t>(),
+                       .p = random.real(),
+                       .q = random.real(),
+                       .v_c = random.real(),
+                       .ramp_s = random.real(),
+                       .effective_step = random.whole<std::uint64_t>()};
+    const Request received = sent_and_received(sent);
+    EXPECT_EQ(received.client, sent.client);
+    EXPECT_EQ(received.id, sent.id);
+    EXPECT_EQ(received.given, sent.given);
+    EXPECT_SAME_BITS(received.p, sent.p);
+    EXPECT_SAME_BITS(received.q, sent.q);
+    EXPECT_SAME_BITS(received.v_c, sent.v_c);
+    EXPECT_SAME_BITS(received.ramp_s, sent.ramp_s);
+    EXPECT_EQ(received.effective_step, sent.effective_step);
+    ASSERT_FALSE(HasFailure()) << "round " << n;
+  }
+}
+
+Reference random_reference(Random& random) {
+  return {.id = random.whole<std::uint32_t>(),
+          .p = random.real(),
+          .q = random.real(),
+          .v_c = random.real(),
+          .effective_step = random.whole<std::uint64_t>(),
+          .ramp_steps = random.whole<std::uint32_t>()};
+}
+
+void expect_same(const Reference& received, const Reference& sent) {
+  EXPECT_EQ(received.id, sent.id);
+  EXPECT_SAME_BITS(received.p, sent.p);
+  EXPECT_SAME_BITS(received.q, sent.q);
+  EXPECT_SAME_BITS(received.v_c, sent.v_c);
+  EXPECT_EQ(received.effective_step, sent.effective_step);
+  EXPECT_EQ(received.ramp_steps, sent.ramp_steps);
+}
+
+TEST(Wire, ReferenceIsReceivedAsSentBitForBit) {
+  Random random;
+  for (int n = 0; n < rounds; ++n) {
+    const Reference sent = random_reference(random);
+    expect_same(sent_and_received(sent), sent);
+    ASSERT_FALSE(HasFailure()) << "round " << n;
+  }
+}
+
+// A decision with a reference carries its targets once, as the setpoint judged.
+DecisionMessage random_decision(Random& random) {
+  DecisionMessage m;
+  m.decision.client = random.whole<std::uint64_t>();
+  m.decision.id = random.whole<std::uint32_t>();
+  m.decision.verdict = static_cast<Verdict>(random.up_to(4));
+  m.decision.field = static_cast<Field>(random.up_to(8));
+  m.decision.setpoint = {random.real(), random.real(), random.real()};
+  for (std::uint32_t n = random.up_to(limit_count); n > 0; --n)
+    m.decision.margins.add({static_cast<Limit>(random.up_to(7)), random.flag(), random.real()});
+  if (random.flag()) {
+    m.decision.reference = random_reference(random);
+    if (m.decision.reference->id == 0) m.decision.reference->id = 1;
+    m.decision.reference->p = m.decision.setpoint.p;
+    m.decision.reference->q = m.decision.setpoint.q;
+    m.decision.reference->v_c = m.decision.setpoint.v_c;
+  }
+  m.text = random.text(255);
+  return m;
+}
+
+TEST(Wire, DecisionIsReceivedAsSentBitForBit) {
+  Random random;
+  for (int n = 0; n < rounds; ++n) {
+    const DecisionMessage sent = random_decision(random);
+    const DecisionMessage received = sent_and_received(sent);
+    EXPECT_EQ(received.text, sent.text);
+    const Decision &in = received.decision, &out = sent.decision;
+    EXPECT_EQ(in.client, out.client);
+    EXPECT_EQ(in.id, out.id);
+    EXPECT_EQ(in.verdict, out.verdict);
+    EXPECT_EQ(in.field, out.field);
+    EXPECT_SAME_BITS(in.setpoint.p, out.setpoint.p);
+    EXPECT_SAME_BITS(in.setpoint.q, out.setpoint.q);
+    EXPECT_SAME_BITS(in.setpoint.v_c, out.setpoint.v_c);
+    ASSERT_EQ(in.margins.size(), out.margins.size());
+    for (std::size_t k = 0; k < out.margins.size(); ++k) {
+      EXPECT_EQ(in.margins.begin()[k].limit, out.margins.begin()[k].limit);
+      EXPECT_EQ(in.margins.begin()[k].enforced, out.margins.begin()[k].enforced);
+      EXPECT_SAME_BITS(in.margins.begin()[k].margin, out.margins.begin()[k].margin);
+    }
+    ASSERT_EQ(in.reference.has_value(), out.reference.has_value());
+    if (out.reference) expect_same(*in.reference, *out.reference);
+    ASSERT_FALSE(HasFailure()) << "round " << n;
+  }
+}
+
+TEST(Wire, OperationIsReceivedAsSent) {
+  Random random;
+  for (int n = 0; n < rounds; ++n) {
+    const Operation sent{.client = random.whole<std::uint64_t>(),
+                         .id = random.whole<std::uint32_t>(),
+                         .kind = static_cast<OperationKind>(random.up_to(1)),
+                         .until_step = random.whole<std::uint64_t>()};
+    const Operation received = sent_and_received(sent);
+    EXPECT_EQ(received.client, sent.client);
+    EXPECT_EQ(received.id, sent.id);
+    EXPECT_EQ(received.kind, sent.kind);
+    EXPECT_EQ(received.until_step, sent.until_step);
+    ASSERT_FALSE(HasFailure()) << "round " << n;
+  }
+}
+
+TEST(Wire, HealthIsReceivedAsSent) {
+  Random random;
+  for (int n = 0; n < rounds; ++n) {
+    Health sent;
+    sent.service = random.text(15);
+    sent.instance = random.whole<std::uint64_t>();
+    sent.state = static_cast<ServiceState>(random.up_to(4));
+    sent.step = random.whole<std::uint64_t>();
+    sent.reference_id = random.whole<std::uint32_t>();
+    sent.wall_time_ns = random.whole<std::int64_t>();
+    for (std::uint32_t k = random.up_to(32); k > 0; --k)
+      sent.counters.push_back({random.text(31), random.whole<std::uint64_t>()});
+    sent.digest = random.text(64);
+    sent.text = random.text(255);
+    const Health received = sent_and_received(sent);
+    EXPECT_EQ(received.service, sent.service);
+    EXPECT_EQ(received.instance, sent.instance);
+    EXPECT_EQ(received.state, sent.state);
+    EXPECT_EQ(received.step, sent.step);
+    EXPECT_EQ(received.reference_id, sent.reference_id);
+    EXPECT_EQ(received.wall_time_ns, sent.wall_time_ns);
+    EXPECT_TRUE(received.counters == sent.counters);
+    EXPECT_EQ(received.digest, sent.digest);
+    EXPECT_EQ(received.text, sent.text);
+    ASSERT_FALSE(HasFailure()) << "round " << n;
+  }
+}
+
+TEST(Wire, ManifestIsReceivedAsSent) {
+  Random random;
+  for (int n = 0; n < rounds / 10; ++n) {
+    Manifest sent{.service = random.text(15),
+                  .instance = random.whole<std::uint64_t>(),
+                  .build = random.text(255),
+                  .settings = random.text(8191),
+                  .constants = {}};
+    for (std::uint32_t k = random.up_to(64); k > 0; --k)
+      sent.constants.push_back({random.text(31), random.real()});
+    const Manifest received = sent_and_received(sent);
+    EXPECT_EQ(received.service, sent.service);
+    EXPECT_EQ(received.instance, sent.instance);
+    EXPECT_EQ(received.build, sent.build);
+    EXPECT_EQ(received.settings, sent.settings);
+    ASSERT_EQ(received.constants.size(), sent.constants.size());
+    for (std::size_t k = 0; k < sent.constants.size(); ++k) {
+      EXPECT_EQ(received.constants[k].name, sent.constants[k].name);
+      EXPECT_SAME_BITS(received.constants[k].value, sent.constants[k].value);
+    }
+    ASSERT_FALSE(HasFailure()) << "round " << n;
+  }
+}
+
+TEST(Wire, TextsLongerThanTheContractAreCut) {
+  const std::string much(10'000, 'x');
+  const DecisionMessage decision = sent_and_received(DecisionMessage{.decision = {}, .text = much});
+  EXPECT_EQ(decision.text, std::string(255, 'x'));
+  Health health;
+  health.service = health.digest = health.text = much;
+  health.counters = {{much, 1}};
+  health = sent_and_received(health);
+  EXPECT_EQ(health.service, std::string(15, 'x'));
+  EXPECT_EQ(health.digest, std::string(64, 'x'));
+  EXPECT_EQ(health.text, std::string(255, 'x'));
+  EXPECT_EQ(health.counters.at(0).name, std::string(31, 'x'));
+  const Manifest manifest = sent_and_received(
+      Manifest{.service = much, .instance = 1, .build = much, .settings = much, .constants = {{much, 1.0}}});
+  EXPECT_EQ(manifest.service, std::string(15, 'x'));
+  EXPECT_EQ(manifest.build, std::string(255, 'x'));
+  EXPECT_EQ(manifest.settings, std::string(8191, 'x'));
+  EXPECT_EQ(manifest.constants.at(0).name, std::string(31, 'x'));
+}
+
+TEST(Wire, MeasurementWithAnUnknownFlagIsRefused) {
+  Random random;
+  for (std::uint32_t bit = 4; bit < 32; ++bit) {
+    wire::Measurement wire;
+    encode(random_measurement(random), wire);
+    wire.flags(wire.flags() | 1u << bit);
+    Measurement m;
+    EXPECT_FALSE(decode(wire, m)) << "bit " << bit;
+  }
+}
+
+TEST(Wire, MeasurementWhoseTimeIsNotStepTimesPeriodIsRefused) {
+  Random random;
+  for (int n = 0; n < rounds; ++n) {
+    wire::Measurement wire;
+    encode(random_measurement(random), wire);
+    const std::int64_t right = wire.time_ns();
+    Measurement m;
+    for (const std::int64_t wrong : {right ^ 1, right ^ (std::int64_t{1} << random.up_to(62)), ~right}) {
+      wire.time_ns(wrong);
+      EXPECT_FALSE(decode(wire, m)) << wrong << " instead of " << right;
+    }
+  }
+}
+
+// Every value from the first that no enumerator has.
+template <class Wire, class Message, class Put>
+void expect_enumerators_refused(const Message& message, std::uint32_t last, Put put) {
+  for (const std::uint32_t value : {last + 1, last + 2, 255u, 256u, 0x8000'0000u, 0xffff'ffffu}) {
+    Wire wire;
+    encode(message, wire);
+    put(wire, value);
+    Message received;
+    EXPECT_FALSE(decode(wire, received)) << value;
+  }
+}
+
+TEST(Wire, EnumeratorOutOfRangeIsRefused) {
+  DecisionMessage decision;
+  decision.decision.margins.add({Limit::current, true, 0.1});
+  expect_enumerators_refused<wire::SetpointDecision>(
+      decision, wire::UNIT_BLOCKED,
+      [](auto& wire, std::uint32_t value) { wire.verdict(static_cast<wire::Verdict>(value)); });
+  expect_enumerators_refused<wire::SetpointDecision>(
+      decision, wire::DC_VOLTAGE_MAX,
+      [](auto& wire, std::uint32_t value) { wire.margins()[0].limit(static_cast<wire::LimitName>(value)); });
+  expect_enumerators_refused<wire::SetpointDecision>(
+      decision, wire::FIELD_EFFECTIVE_STEP,
+      [](auto& wire, std::uint32_t value) { wire.field(static_cast<wire::RequestField>(value)); });
+  expect_enumerators_refused<wire::Operation>(
+      Operation{}, wire::RESET_TRIP,
+      [](auto& wire, std::uint32_t value) { wire.kind(static_cast<wire::OperationKind>(value)); });
+  expect_enumerators_refused<wire::Health>(Health{}, wire::STOPPED, [](auto& wire, std::uint32_t value) {
+    wire.state(static_cast<wire::ServiceState>(value));
+  });
+}
+
+TEST(Wire, EveryEnumeratorHasItsNameInTheContract) {
+  EXPECT_EQ(static_cast<std::uint32_t>(Verdict::outside_envelope), wire::OUTSIDE_ENVELOPE);
+  EXPECT_EQ(static_cast<std::uint32_t>(Verdict::bad_request), wire::BAD_REQUEST);
+  EXPECT_EQ(static_cast<std::uint32_t>(Verdict::stale_request), wire::STALE_REQUEST);
+  EXPECT_EQ(static_cast<std::uint32_t>(Verdict::unit_blocked), wire::UNIT_BLOCKED);
+  EXPECT_EQ(static_cast<std::uint32_t>(Field::none), wire::NO_FIELD);
+  EXPECT_EQ(static_cast<std::uint32_t>(Field::client), wire::FIELD_CLIENT);
+  EXPECT_EQ(static_cast<std::uint32_t>(Field::id), wire::FIELD_ID);
+  EXPECT_EQ(static_cast<std::uint32_t>(Field::given), wire::FIELD_GIVEN);
+  EXPECT_EQ(static_cast<std::uint32_t>(Field::p), wire::FIELD_ACTIVE_POWER);
+  EXPECT_EQ(static_cast<std::uint32_t>(Field::q), wire::FIELD_REACTIVE_POWER);
+  EXPECT_EQ(static_cast<std::uint32_t>(Field::v_c), wire::FIELD_DC_VOLTAGE);
+  EXPECT_EQ(static_cast<std::uint32_t>(Field::ramp_s), wire::FIELD_RAMP_S);
+  EXPECT_EQ(static_cast<std::uint32_t>(Field::effective_step), wire::FIELD_EFFECTIVE_STEP);
+  EXPECT_EQ(static_cast<std::uint32_t>(Limit::steady_state), wire::STEADY_STATE);
+  EXPECT_EQ(static_cast<std::uint32_t>(Limit::current), wire::CURRENT);
+  EXPECT_EQ(static_cast<std::uint32_t>(Limit::control), wire::CONTROL);
+  EXPECT_EQ(static_cast<std::uint32_t>(Limit::control_rough), wire::CONTROL_ROUGH);
+  EXPECT_EQ(static_cast<std::uint32_t>(Limit::pcc_voltage_min), wire::PCC_VOLTAGE_MIN);
+  EXPECT_EQ(static_cast<std::uint32_t>(Limit::pcc_voltage_max), wire::PCC_VOLTAGE_MAX);
+  EXPECT_EQ(static_cast<std::uint32_t>(Limit::dc_voltage_min), wire::DC_VOLTAGE_MIN);
+  EXPECT_EQ(static_cast<std::uint32_t>(Limit::dc_voltage_max), wire::DC_VOLTAGE_MAX);
+  EXPECT_EQ(static_cast<std::uint32_t>(OperationKind::advance), wire::ADVANCE);
+  EXPECT_EQ(static_cast<std::uint32_t>(OperationKind::reset_trip), wire::RESET_TRIP);
+  EXPECT_EQ(static_cast<std::uint32_t>(ServiceState::starting), wire::STARTING);
+  EXPECT_EQ(static_cast<std::uint32_t>(ServiceState::running), wire::RUNNING);
+  EXPECT_EQ(static_cast<std::uint32_t>(ServiceState::waiting), wire::WAITING);
+  EXPECT_EQ(static_cast<std::uint32_t>(ServiceState::blocked_by_trip), wire::BLOCKED_BY_TRIP);
+  EXPECT_EQ(static_cast<std::uint32_t>(ServiceState::stopped), wire::STOPPED);
+}
+
+TEST(Wire, MoreMarginsThanThereAreLimitsAreRefused) {
+  wire::SetpointDecision wire;
+  encode(DecisionMessage{}, wire);
+  wire.margins().resize(limit_count + 1);
+  DecisionMessage received;
+  EXPECT_FALSE(decode(wire, received));
+}
+
+}  // namespace
+}  // namespace weakgrid
