@@ -172,7 +172,7 @@ async function checkTheirs(name, options, { indexed }) {
   const starting = (how) => lines.filter((text) => text.startsWith(`${how} `));
   const inFileOrder = messages.map((message) => line("file", message));
   assert.deepEqual(starting("file"), inFileOrder, `${name}: in file order`);
-  const byTime = messages.toSorted((a, b) => Number(a.logTime - b.logTime) || a.sequence - b.sequence);
+  const byTime = [...messages].sort((a, b) => Number(a.logTime - b.logTime) || a.sequence - b.sequence);
   const expected = options.useChunks === false ? [] : byTime.map((message) => line("time", message));
   assert.deepEqual(starting("time"), expected, `${name}: in order of time`);
   assert(lines.includes("intact"), `${name}: intact`);
