@@ -18,6 +18,8 @@ Command add_simulate(CLI::App& app);
 Command add_set(CLI::App& app);
 Command add_status(CLI::App& app);
 Command add_operate(CLI::App& app);
+Command add_info(CLI::App& app);
+Command add_recover(CLI::App& app);
 
 /// Where to look for a unit: --settings, or --domain and --unit.
 struct Where {

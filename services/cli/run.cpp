@@ -12,6 +12,7 @@
 #include "services/cli/processes.hpp"
 #include "services/cli/report.hpp"
 #include "services/decision_text.hpp"
+#include "services/runtime/announcer.hpp"
 #include "services/runtime/program.hpp"
 
 namespace weakgrid {
@@ -25,17 +26,25 @@ struct Options {
   std::string file;
   std::string log = "warning";
   std::optional<std::uint32_t> domain;
+  std::string record;
   bool json = false;
 };
+
+// What a recording of a run must have from its first sample on.
+constexpr const char* recorded_topics[] = {"weakgrid/measurement",      "weakgrid/modulation",
+                                           "weakgrid/setpoint_request", "weakgrid/setpoint_decision",
+                                           "weakgrid/reference",        "weakgrid/operation"};
 
 // One scenario against services that run.
 class Conductor {
  public:
   using Instances = std::set<std::pair<std::string, std::uint64_t>>;  // (service, instance)
 
-  Conductor(const Settings& settings, Instances mine, Processes& processes, StopSignal& stop)
+  Conductor(const Settings& settings, Instances mine, Processes& processes, Processes& recorder,
+            StopSignal& stop)
       : settings_(settings),
         processes_(processes),
+        recorder_(recorder),
         stop_(stop),
         mine_(std::move(mine)),
         client_(settings.unit.domain, settings.unit.number, settings.dds.interfaces),
@@ -56,7 +65,7 @@ class Conductor {
           record_.see(mu);
         }) {}
 
-  Outcome play() {
+  Outcome play(bool is_recorded) {
     Outcome outcome;
     outcome.over_dds = true;
     wait("the services to start", [this](Patience p) {
@@ -67,6 +76,7 @@ class Conductor {
     });
     wait("whoever served this unit before to be gone",
          [this](Patience) { return company() == Company::none; });
+    if (is_recorded) start_recording();
     wait("plant and observer to meet", [this](Patience) {
       stop_.wait(Patience(5));
       return measurements_.matched() > 0 && modulations_.matched() > 0;
@@ -100,12 +110,32 @@ class Conductor {
     const auto deadline = std::chrono::steady_clock::now() + to_start;
     while (!attempt(Patience(50))) {
       if (stop_.wait(Patience(0))) throw std::runtime_error("stopped by a signal");
-      if (const std::string name = processes_.ended(); !name.empty())
-        throw std::runtime_error(name + " has ended by itself; its reason is above");
+      check_processes();
       refuse_company();
       if (std::chrono::steady_clock::now() > deadline)
         throw std::runtime_error("gave up waiting for " + what);
     }
+  }
+
+  // Says what it plays, so that the recording tells; then everybody has met the recorder.
+  void start_recording() {
+    Writer<Manifest>& manifest = manifest_.emplace(client_.bus(), settings_.unit.number);
+    if (!manifest.write({.service = "run",
+                         .instance = random_identity(),
+                         .build = build_text(),
+                         .settings = to_toml(settings_),
+                         .constants = {}}))
+      throw BusError("DDS: the manifest cannot be written");
+    wait("the recorder to hear everybody", [this](Patience p) {
+      return client_.wait_for(
+          "recorder", p, [this](const Health& h) { return is_mine(h) && h.state == ServiceState::running; });
+    });
+  }
+
+  void check_processes() {
+    for (Processes* some : {&processes_, &recorder_})
+      if (const std::string name = some->ended(); !name.empty())
+        throw std::runtime_error(name + " has ended by itself; its reason is above");
   }
 
   enum class Company : std::uint8_t { none, silent, alive };
@@ -115,6 +145,7 @@ class Conductor {
     Company company = Company::none;
     for (const auto& [key, health] : client_.peers()) {
       if (health.state == ServiceState::stopped || mine_.count(key) != 0) continue;
+      if (key.first == "recorder") continue;  // listens, serves nobody
       if (health.wall_time_ns >= started_ns_) return Company::alive;
       if (wall_time_ns() - started_ns_ < 2'000'000'000) company = Company::silent;
     }
@@ -137,8 +168,7 @@ class Conductor {
       return is_mine(h) && h.state == ServiceState::waiting && h.step >= step && !h.digest.empty();
     })) {
       if (stop_.wait(Patience(0))) throw std::runtime_error("stopped by a signal");
-      if (const std::string name = processes_.ended(); !name.empty())
-        throw std::runtime_error(name + " has ended by itself; its reason is above");
+      check_processes();
       const std::uint64_t now_at = health_of("plant").step;
       const auto now = std::chrono::steady_clock::now();
       if (now_at > last_step) deadline = now + to_start;
@@ -172,10 +202,12 @@ class Conductor {
 
   const Settings& settings_;
   Processes& processes_;
+  Processes& recorder_;
   StopSignal& stop_;
   const Instances mine_;
   const std::int64_t started_ns_ = wall_time_ns();
   Client client_;
+  std::optional<Writer<Manifest>> manifest_;
   std::mutex mutex_;
   RunRecord record_;
   std::uint64_t next_to_see_ = 0;
@@ -187,27 +219,34 @@ int run(const Options& options) {
   Settings settings = load_scenario(options.file);
   settings.unit.domain = options.domain.value_or(settings.unit.domain);
   StopSignal stop;
-  Processes processes;
+  Processes recorder, processes;
   Conductor::Instances instances;
-  const auto start = [&](const std::string& service, const std::vector<std::string>& more) {
+  const auto start = [&](Processes& among, const std::string& service, const std::vector<std::string>& more) {
     const std::uint64_t instance = random_identity();
     std::vector<std::string> arguments{"--settings", options.file,
                                        "--log",      options.log,
                                        "--domain",   std::to_string(settings.unit.domain),
                                        "--instance", std::to_string(instance)};
     arguments.insert(arguments.end(), more.begin(), more.end());
-    processes.start("weakgrid-" + service, arguments);
+    among.start("weakgrid-" + service, arguments);
     instances.emplace(service, instance);
   };
-  start("controller", {});
-  start("gateway", {});
-  start("plant", {"--until", "0"});
+  if (!options.record.empty()) {
+    std::vector<std::string> how{"--output", options.record};
+    for (const char* topic : recorded_topics) how.insert(how.end(), {"--await", topic});
+    start(recorder, "recorder", how);
+  }
+  start(processes, "controller", {});
+  start(processes, "gateway", {});
+  start(processes, "plant", {"--until", "0"});
   if (isatty(STDERR_FILENO) != 0)
     fmt::print(stderr, "weakgrid: plays \"{}\" over DDS, domain {}\n", settings.scenario->title,
                settings.unit.domain);
 
-  Outcome outcome = Conductor(settings, instances, processes, stop).play();
-  const bool stopped_well = processes.stop();
+  Outcome outcome = Conductor(settings, instances, processes, recorder, stop).play(!options.record.empty());
+  // The recorder last: it hears the goodbyes of the others.
+  const bool services_stopped_well = processes.stop();
+  const bool stopped_well = recorder.stop() && services_stopped_well;
   if (options.json)
     fmt::print("{}\n", to_json(settings, outcome).dump(2));
   else
@@ -225,6 +264,7 @@ Command add_run(CLI::App& app) {
   command->add_option("SCENARIO", options->file, "scenario file, TOML")->required();
   command->add_option("--domain", options->domain, "DDS domain, instead of the file's")
       ->check(CLI::Range(0, 230));
+  command->add_option("--record", options->record, "MCAP file or folder to record everything into");
   command->add_option("--log", options->log, "what the services print on stderr")
       ->check(CLI::IsMember({"debug", "info", "warning", "error"}))
       ->capture_default_str();

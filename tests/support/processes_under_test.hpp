@@ -26,8 +26,8 @@ inline constexpr milliseconds long_enough{60'000};
 /// Asks every few ms; false: not true within `patience`.
 bool wait_until(const std::function<bool()>& condition, milliseconds patience = long_enough);
 
-/// A DDS domain that no other test on this machine has meanwhile. 20 … 99: the ports of higher ones lie in
-/// the range from which the system gives sockets their ports, and one so taken silences a domain.
+/// A DDS domain that no other test on this machine has meanwhile. 215 … 229: out of the way of what people
+/// start by hand, and with ports above those that the system hands out; one so taken would silence a domain.
 class Domain {
  public:
   Domain();

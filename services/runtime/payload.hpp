@@ -1,0 +1,25 @@
+// The bytes of a recorded or replayed sample ↔ the messages of weakgrid.idl, without any bus.
+#pragma once
+
+#include <cstddef>
+#include <optional>
+#include <span>
+
+#include "services/runtime/messages.hpp"
+
+namespace weakgrid {
+
+/// A message and the unit it belongs to.
+template <class Message>
+struct OfUnit {
+  std::uint32_t unit = 0;
+  Message message;
+};
+
+/// From a serialized payload with its encapsulation header; nothing for what no correct peer sends.
+/// For every message that travels: Measurement, Modulation, Request, DecisionMessage, Reference, Operation,
+/// Health, Manifest.
+template <class Message>
+std::optional<OfUnit<Message>> from_payload(std::span<const std::byte> payload);
+
+}  // namespace weakgrid

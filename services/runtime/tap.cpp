@@ -1,0 +1,442 @@
+// Tap over Fast DDS 2.9. Newer majors differ here and in bus.cpp.
+#include "services/runtime/tap.hpp"
+
+#include <fastdds/rtps/transport/UDPv4TransportDescriptor.h>
+#include <fnmatch.h>
+#include <spdlog/spdlog.h>
+
+#include <fastdds/rtps/writer/WriterDiscoveryInfo.h>
+#include <algorithm>
+#include <condition_variable>
+#include <deque>
+#include <fastdds/dds/domain/DomainParticipant.hpp>
+#include <fastdds/dds/domain/DomainParticipantFactory.hpp>
+#include <fastdds/dds/domain/DomainParticipantListener.hpp>
+#include <fastdds/dds/subscriber/DataReader.hpp>
+#include <fastdds/dds/subscriber/DataReaderListener.hpp>
+#include <fastdds/dds/subscriber/SampleInfo.hpp>
+#include <fastdds/dds/subscriber/Subscriber.hpp>
+#include <fastdds/dds/topic/TopicDataType.hpp>
+#include <fastdds/dds/topic/TypeSupport.hpp>
+#include <map>
+#include <mutex>
+#include <nlohmann/json.hpp>
+#include <sstream>
+#include <thread>
+
+#include "services/runtime/announcer.hpp"
+#include "services/runtime/wire.hpp"
+
+namespace weakgrid {
+
+namespace dds = eprosima::fastdds::dds;
+namespace rtps = eprosima::fastrtps::rtps;
+using eprosima::fastrtps::Duration_t;
+using eprosima::fastrtps::types::ReturnCode_t;
+
+namespace {
+
+constexpr std::uint32_t unknown_writer = ~std::uint32_t{0};
+// A burst that may come before a reader's thread runs again; more pushes out the oldest, which shows as a
+// gap.
+constexpr int history_depth = 4096;
+
+/// Any type: the bytes as they came, never parsed.
+class RawType : public dds::TopicDataType {
+ public:
+  RawType(const std::string& name, bool keyed) {
+    setName(name.c_str());
+    m_typeSize = 256;  // first guess; the pools grow with what comes
+    m_isGetKeyDefined = keyed;
+  }
+  bool serialize(void*, rtps::SerializedPayload_t*) override { return false; }
+  bool deserialize(rtps::SerializedPayload_t* payload, void* data) override {
+    const auto* bytes = reinterpret_cast<const std::byte*>(payload->data);
+    static_cast<std::vector<std::byte>*>(data)->assign(bytes, bytes + payload->length);
+    return true;
+  }
+  std::function<std::uint32_t()> getSerializedSizeProvider(void*) override {
+    return [] { return 0u; };
+  }
+  void* createData() override { return new std::vector<std::byte>; }
+  void deleteData(void* data) override { delete static_cast<std::vector<std::byte>*>(data); }
+  /// All samples as one instance. Nil or false would abort the process: Debian builds with asserts.
+  bool getKey(void*, rtps::InstanceHandle_t* handle, bool) override {
+    handle->value[0] = 1;
+    return true;
+  }
+};
+
+std::string text_of(const rtps::GUID_t& guid) {
+  std::ostringstream out;
+  out << guid;
+  return out.str();
+}
+
+double seconds(const Duration_t& duration) {
+  return duration == eprosima::fastrtps::c_TimeInfinite ? -1.0 : static_cast<double>(duration.to_ns()) * 1e-9;
+}
+
+std::string qos_text(const eprosima::fastdds::dds::WriterQos& qos) {
+  static constexpr const char* durabilities[] = {"volatile", "transient local", "transient", "persistent"};
+  static constexpr const char* livelinesses[] = {"automatic", "manual by participant", "manual by topic"};
+  nlohmann::json representations = nlohmann::json::array();
+  for (const auto representation : qos.representation.m_value)
+    representations.push_back(static_cast<int>(representation));
+  // Spans in seconds, -1 = infinite.
+  return nlohmann::json{
+      {"reliability", qos.m_reliability.kind == dds::RELIABLE_RELIABILITY_QOS ? "reliable" : "best effort"},
+      {"durability", durabilities[std::min<std::size_t>(qos.m_durability.kind, 3)]},
+      {"ownership", qos.m_ownership.kind == dds::EXCLUSIVE_OWNERSHIP_QOS ? "exclusive" : "shared"},
+      {"ownership_strength", qos.m_ownershipStrength.value},
+      {"liveliness", livelinesses[std::min<std::size_t>(qos.m_liveliness.kind, 2)]},
+      {"liveliness_lease_s", seconds(qos.m_liveliness.lease_duration)},
+      {"deadline_s", seconds(qos.m_deadline.period)},
+      {"lifespan_s", seconds(qos.m_lifespan.duration)},
+      {"representations", representations}}
+      .dump();
+}
+
+bool matches_any(const std::string& topic, const std::vector<std::string>& patterns) {
+  return std::any_of(patterns.begin(), patterns.end(), [&](const std::string& pattern) {
+    return fnmatch(pattern.c_str(), topic.c_str(), 0) == 0;
+  });
+}
+
+bool is_internal(const std::string& topic) { return topic.rfind("_fastdds_statistics", 0) == 0; }
+
+}  // namespace
+
+struct Tap::Impl : dds::DomainParticipantListener {
+  /// What a reader must ask for to match a writer: one reader for each.
+  struct Class {
+    std::string topic;
+    bool reliable, transient_local, exclusive;
+    auto operator<=>(const Class&) const = default;
+  };
+  struct Known {
+    Class of;
+    std::string type;
+    bool keyed;
+    std::uint32_t index;          // unknown_writer: only looked at, not recorded
+    std::uint64_t readers_by_us;  // made up to and with the one for this writer; 0 = none yet
+    bool is_gone = false;         // its last samples may still come, and it may return
+  };
+
+  /// Hands on what comes from writers of its own class: a best-effort reader also matches reliable ones, for
+  /// which there is another reader.
+  struct Ear : dds::DataReaderListener {
+    Impl& tap;
+    const Class of;
+    dds::DataReader* reader = nullptr;
+    std::vector<std::byte> bytes;
+    dds::SampleInfo info;
+    rtps::GUID_t last_guid;
+    std::uint32_t last_index = unknown_writer;
+
+    Ear(Impl& owner, Class its) : tap(owner), of(std::move(its)) {}
+
+    void on_data_available(dds::DataReader* from) override {
+      while (from->take_next_sample(&bytes, &info) == ReturnCode_t::RETCODE_OK) {
+        const rtps::GUID_t& guid = info.sample_identity.writer_guid();
+        if (guid != last_guid) {
+          last_guid = guid;
+          last_index = tap.index_of(guid, of);
+        }
+        if (last_index == unknown_writer) continue;
+        const std::int64_t reception_ns = info.reception_timestamp.to_ns();
+        const std::int64_t source_ns = info.source_timestamp.to_ns();
+        RawSample sample{.writer = last_index,
+                         .has_data = info.valid_data,
+                         .sequence = info.sample_identity.sequence_number().to64long(),
+                         .source_ns = source_ns > 0 ? source_ns : reception_ns,
+                         .reception_ns = reception_ns};
+        if (info.valid_data) sample.payload = bytes;
+        tap.take(sample);
+      }
+    }
+    void on_requested_incompatible_qos(dds::DataReader*,
+                                       const dds::RequestedIncompatibleQosStatus& status) override {
+      spdlog::debug("{}: a writer does not match this class of readers (policy {})", of.topic,
+                    static_cast<int>(status.last_policy_id));
+    }
+  };
+
+  /// A reader of manifests made after others: whoever's manifest comes to it has been told of those before.
+  struct Echo : dds::DataReaderListener {
+    Impl& tap;
+    const std::uint64_t readers_before;
+    dds::DataReader* reader = nullptr;
+    std::vector<std::byte> bytes;
+    dds::SampleInfo info;
+
+    Echo(Impl& owner, std::uint64_t readers) : tap(owner), readers_before(readers) {}
+    void on_data_available(dds::DataReader* from) override {
+      while (from->take_next_sample(&bytes, &info) == ReturnCode_t::RETCODE_OK) {
+        const std::lock_guard lock(tap.mutex);
+        auto& told = tap.told[info.sample_identity.writer_guid().guidPrefix];
+        told = std::max(told, readers_before);
+      }
+    }
+  };
+
+  Options options;
+  SeeWriter see;
+  TakeSample take;
+  dds::DomainParticipant* participant = nullptr;
+  dds::Subscriber* subscriber = nullptr;
+
+  mutable std::mutex mutex;
+  std::condition_variable work;
+  bool stopping = false;
+  std::uint32_t count = 0;
+  std::uint64_t left_out = 0;
+  std::map<rtps::GUID_t, Known> writers;
+  std::deque<rtps::GUID_t> to_read;                    // writers that may need a reader
+  std::map<rtps::GuidPrefix_t, std::uint64_t> told;    // participant → readers of ours it knows of
+  std::map<rtps::GuidPrefix_t, rtps::GUID_t> echoing;  // participants with a manifest, its writer
+
+  // Of the worker alone.
+  std::map<Class, std::pair<std::unique_ptr<Ear>, std::uint64_t>>
+      ears;  // and how many readers there were then
+  std::uint64_t readers = 0;
+  std::unique_ptr<Echo> echo;
+  std::thread worker;
+
+  std::uint32_t index_of(const rtps::GUID_t& guid, const Class& of) const {
+    const std::lock_guard lock(mutex);
+    const auto known = writers.find(guid);
+    return known == writers.end() || known->second.of != of ? unknown_writer : known->second.index;
+  }
+
+  bool is_wanted(const std::string& topic) const {
+    return !is_internal(topic) && (options.topics.empty() || matches_any(topic, options.topics)) &&
+           !matches_any(topic, options.excluded);
+  }
+
+  // On a thread of the bus: no entity may be made here.
+  void on_publisher_discovery(dds::DomainParticipant*, rtps::WriterDiscoveryInfo&& found) override {
+    const rtps::WriterProxyData& writer = found.info;
+    const std::lock_guard lock(mutex);
+    if (found.status == rtps::WriterDiscoveryInfo::REMOVED_WRITER) {
+      const auto gone = echoing.find(writer.guid().guidPrefix);
+      if (gone != echoing.end() && gone->second == writer.guid()) echoing.erase(gone);
+      const auto known = writers.find(writer.guid());
+      if (known != writers.end()) known->second.is_gone = true;
+      return;
+    }
+    const std::string topic = writer.topicName().to_string();
+    if (topic == Topic<Manifest>::name) echoing[writer.guid().guidPrefix] = writer.guid();
+    if (const auto known = writers.find(writer.guid()); known != writers.end()) {
+      known->second.is_gone = false;
+      return;
+    }
+    if (!is_wanted(topic)) return;
+    if (count >= options.writers_max) {
+      ++left_out;
+      return;
+    }
+    Known known{.of = {topic, writer.m_qos.m_reliability.kind == dds::RELIABLE_RELIABILITY_QOS,
+                       writer.m_qos.m_durability.kind != dds::VOLATILE_DURABILITY_QOS,
+                       writer.m_qos.m_ownership.kind == dds::EXCLUSIVE_OWNERSHIP_QOS},
+                .type = writer.typeName().to_string(),
+                .keyed = writer.topicKind() == rtps::WITH_KEY,
+                .index = count++,
+                .readers_by_us = 0};
+    SourceWriter seen{.index = known.index,
+                      .guid = text_of(writer.guid()),
+                      .topic = topic,
+                      .type = known.type,
+                      .keyed = known.keyed,
+                      .reliable = known.of.reliable,
+                      .transient_local = known.of.transient_local,
+                      .exclusive = known.of.exclusive,
+                      .partitions = writer.m_qos.m_partition.names(),
+                      .qos_full = qos_text(writer.m_qos)};
+    writers.emplace(writer.guid(), std::move(known));
+    see(seen);
+    to_read.push_back(writer.guid());
+    work.notify_one();
+  }
+
+  void run() {
+    std::unique_lock lock(mutex);
+    while (!stopping) {
+      if (to_read.empty()) {
+        ask_for_echo(lock);
+        work.wait_for(lock, std::chrono::milliseconds(20));
+        continue;
+      }
+      const rtps::GUID_t guid = to_read.front();
+      to_read.pop_front();
+      const auto known = writers.find(guid);
+      if (known == writers.end()) continue;
+      const Known writer = known->second;
+      lock.unlock();
+      const std::uint64_t made = listen(writer);
+      lock.lock();
+      const auto still = writers.find(guid);
+      if (still != writers.end()) still->second.readers_by_us = made;
+      if (made == 0) ++left_out;
+    }
+  }
+
+  /// How many readers we had once there was one for this writer; 0 = there can be none.
+  std::uint64_t listen(const Known& writer) {
+    const auto there = ears.find(writer.of);
+    if (there != ears.end()) return there->second.second;
+    dds::Topic* topic = topic_of(writer.of.topic, writer.type, writer.keyed);
+    if (topic == nullptr) return 0;
+    auto ear = std::make_unique<Ear>(*this, writer.of);
+    ear->reader = subscriber->create_datareader(topic, reader_qos(writer.of), ear.get(),
+                                                dds::StatusMask::data_available()
+                                                    << dds::StatusMask::requested_incompatible_qos());
+    if (ear->reader == nullptr) {
+      spdlog::warn("{}: no reader can be made, so it is not recorded", writer.of.topic);
+      return 0;
+    }
+    ears.emplace(writer.of, std::pair{std::move(ear), ++readers});
+    return readers;
+  }
+
+  dds::Topic* topic_of(const std::string& name, const std::string& type_name, bool keyed) {
+    if (dds::TopicDescription* known = participant->lookup_topicdescription(name)) {
+      auto* topic = static_cast<dds::Topic*>(known);
+      if (topic->get_type_name() == type_name &&
+          participant->find_type(type_name)->m_isGetKeyDefined == keyed)
+        return topic;
+      spdlog::warn("{}: a writer with type {} ({}) is not recorded: the topic is known as {}", name,
+                   type_name, keyed ? "keyed" : "without key", topic->get_type_name());
+      return nullptr;
+    }
+    dds::TypeSupport type = participant->find_type(type_name);
+    if (type.empty()) {
+      type.reset(new RawType(type_name, keyed));
+      if (type.register_type(participant) != ReturnCode_t::RETCODE_OK) return nullptr;
+    }
+    if (type->m_isGetKeyDefined != keyed) {
+      spdlog::warn("{}: a writer is not recorded: type {} is known with another key", name, type_name);
+      return nullptr;
+    }
+    return participant->create_topic(name, type_name, dds::TOPIC_QOS_DEFAULT);
+  }
+
+  static dds::DataReaderQos reader_qos(const Class& of) {
+    dds::DataReaderQos qos;
+    qos.data_sharing().off();
+    qos.reliability().kind = of.reliable ? dds::RELIABLE_RELIABILITY_QOS : dds::BEST_EFFORT_RELIABILITY_QOS;
+    qos.durability().kind =
+        of.transient_local ? dds::TRANSIENT_LOCAL_DURABILITY_QOS : dds::VOLATILE_DURABILITY_QOS;
+    qos.ownership().kind = of.exclusive ? dds::EXCLUSIVE_OWNERSHIP_QOS : dds::SHARED_OWNERSHIP_QOS;
+    qos.history().kind = dds::KEEP_LAST_HISTORY_QOS;
+    qos.history().depth = history_depth;
+    qos.resource_limits().max_instances = 2;
+    qos.resource_limits().max_samples_per_instance = history_depth;
+    qos.resource_limits().max_samples = 2 * history_depth;
+    qos.resource_limits().allocated_samples = 64;
+    qos.endpoint().history_memory_policy = rtps::PREALLOCATED_WITH_REALLOC_MEMORY_MODE;
+    qos.type_consistency().representation.m_value = {dds::XCDR_DATA_REPRESENTATION,
+                                                     dds::XCDR2_DATA_REPRESENTATION};
+    return qos;
+  }
+
+  /// With the lock held. A new echo only once the last has had its time, or there are new readers.
+  void ask_for_echo(std::unique_lock<std::mutex>& lock) {
+    const bool all_told = std::all_of(echoing.begin(), echoing.end(), [this](const auto& one) {
+      const auto known = told.find(one.first);
+      return known != told.end() && known->second >= readers;
+    });
+    if (all_told || readers == 0 || (echo && echo->readers_before == readers)) return;
+    lock.unlock();
+    drop_echo();
+    using T = Topic<Manifest>;
+    if (dds::Topic* topic = topic_of(T::name, typename T::Type().getName(), true)) {
+      echo = std::make_unique<Echo>(*this, readers);
+      echo->reader = subscriber->create_datareader(topic, reader_qos({T::name, true, true, false}),
+                                                   echo.get(), dds::StatusMask::data_available());
+    }
+    lock.lock();
+    if (!echo) echoing.clear();  // another program holds the topic's name: nothing can be proved
+  }
+
+  void drop_echo() {
+    if (!echo || echo->reader == nullptr) return;
+    echo->reader->set_listener(nullptr);
+    subscriber->delete_datareader(echo->reader);
+    echo.reset();
+  }
+
+  void start() {
+    dds::Log::SetVerbosity(dds::Log::Kind::Error);
+    dds::DomainParticipantQos qos;
+    qos.name("weakgrid-tap");
+    auto transport = std::make_shared<eprosima::fastdds::rtps::UDPv4TransportDescriptor>();
+    transport->interfaceWhiteList = options.interfaces;
+    // What comes while this process waits for a processor; the system may grant less.
+    transport->receiveBufferSize = 4 << 20;
+    qos.transport().use_builtin_transports = false;
+    qos.transport().user_transports.push_back(transport);
+    qos.wire_protocol().builtin.discovery_config.leaseDuration = Duration_t(5, 0);
+    qos.wire_protocol().builtin.discovery_config.leaseDuration_announcementperiod = Duration_t(1, 0);
+    auto* factory = dds::DomainParticipantFactory::get_instance();
+    // Discovery begins with enable(), when there is somebody to hear it.
+    dds::DomainParticipantFactoryQos factory_qos, before;
+    factory->get_qos(before);
+    factory_qos = before;
+    factory_qos.entity_factory().autoenable_created_entities = false;
+    factory->set_qos(factory_qos);
+    participant = factory->create_participant(options.domain, qos, this, dds::StatusMask::none());
+    factory->set_qos(before);
+    if (participant == nullptr || participant->enable() != ReturnCode_t::RETCODE_OK)
+      throw BusError("DDS: participant in domain " + std::to_string(options.domain) + " cannot be made");
+    dds::SubscriberQos subscriber_qos;
+    // Writers without a partition, and those in any.
+    subscriber_qos.partition().push_back("");
+    subscriber_qos.partition().push_back("*");
+    subscriber = participant->create_subscriber(subscriber_qos);
+    if (subscriber == nullptr) throw BusError("DDS: subscriber cannot be made");
+    worker = std::thread([this] { run(); });
+  }
+
+  ~Impl() override {
+    {
+      const std::lock_guard lock(mutex);
+      stopping = true;
+    }
+    work.notify_one();
+    if (worker.joinable()) worker.join();
+    if (participant == nullptr) return;
+    participant->set_listener(nullptr);
+    drop_echo();
+    for (auto& [of, ear] : ears) ear.first->reader->set_listener(nullptr);
+    participant->delete_contained_entities();
+    dds::DomainParticipantFactory::get_instance()->delete_participant(participant);
+  }
+};
+
+Tap::Tap(const Options& options, SeeWriter see, TakeSample take) : impl_(std::make_unique<Impl>()) {
+  impl_->options = options;
+  impl_->see = std::move(see);
+  impl_->take = std::move(take);
+  impl_->start();
+}
+
+Tap::~Tap() = default;
+
+bool Tap::hears(const std::string& topic) const {
+  const std::lock_guard lock(impl_->mutex);
+  return std::any_of(impl_->writers.begin(), impl_->writers.end(), [&](const auto& entry) {
+    const auto& [guid, writer] = entry;
+    if (writer.of.topic != topic || writer.is_gone || writer.readers_by_us == 0) return false;
+    if (impl_->echoing.count(guid.guidPrefix) == 0) return true;
+    const auto told = impl_->told.find(guid.guidPrefix);
+    return told != impl_->told.end() && told->second >= writer.readers_by_us;
+  });
+}
+
+std::uint64_t Tap::left_out() const {
+  const std::lock_guard lock(impl_->mutex);
+  return impl_->left_out;
+}
+
+}  // namespace weakgrid
