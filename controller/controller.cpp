@@ -44,6 +44,18 @@ void Controller::reset() noexcept {
   shaper_.idle();
 }
 
+ControllerState Controller::state() const noexcept {
+  return {state_, shaper_.state(), last_, started_, older_};
+}
+
+void Controller::restore(const ControllerState& state) noexcept {
+  state_ = state.law;
+  shaper_.restore(state.references);
+  last_ = state.last;
+  started_ = state.started;
+  older_ = state.older;
+}
+
 // Bumpless: v̂_p on v_p, no error, and the μ in force taken to be what the present current needs.
 void Controller::start(SpaceVector v_p, SpaceVector i, double v_c) noexcept {
   state_ = {};
@@ -186,6 +198,8 @@ Modulation Controller::step(const Measurement& m) noexcept {
   Modulation out;
   out.step = m.step;
   out.period_ns = static_cast<std::uint32_t>(configuration_.timing.period_ns);
+  out.newest_reference_id = shaper_.state().newest_id;
+  out.measurement_fingerprint = fingerprint(m);
   if (!(m.timing == configuration_.timing)) out.status |= wrong_timing;
   if (!in_range(m)) out.status |= bad_measurement;
   const bool usable = out.status == 0;
@@ -202,7 +216,7 @@ Modulation Controller::step(const Measurement& m) noexcept {
     if (!started_) state_ = {};
     out.mu = state_.command;
     turn_on();
-    out.reference_id = shaper_.id();
+    out.reference_id = shaper_.state().id;
     last_ = out;
     return out;
   }
@@ -244,7 +258,7 @@ Modulation Controller::step(const Measurement& m) noexcept {
   state_.mu_before = constants_.turn * (delayed ? state_.mu : as_turning);
   state_.mu = as_turning;
   state_.command = constants_.turn * out.mu;
-  out.reference_id = shaper_.id();
+  out.reference_id = shaper_.state().id;
   started_ = !m.blocked;
   last_ = out;
   return out;

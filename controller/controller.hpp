@@ -40,6 +40,31 @@ struct ControllerConstants {
   SpaceVector mean_to_end;
 };
 
+/// What the law carries from one sample to the next.
+struct LawState {
+  SpaceVector v_p_hat;
+  SpaceVector v_p;  ///< at the last sample, for the notch
+  SpaceVector e1;   ///< ê_ξ1 at the last sample, for the trapezoid
+  SpaceVector y;
+  double q_error = 0.0;    ///< q̂ − q_r at the last sample, for the trapezoid
+  double eta_error = 0.0;  ///< η̂ − η_r: each grows without bound, the difference does not
+  double p_r = 0.0;
+  /// In force in the period that ends at the next sample, its value there, as if turning.
+  SpaceVector mu_before;
+  SpaceVector mu;       ///< in force from the next sample on (delay 1), as if turning
+  SpaceVector command;  ///< the last answer, its value one period on
+};
+
+/// All that the next answers depend on besides samples, references and configuration: whoever restores it
+/// goes on with the same bits.
+struct ControllerState {
+  LawState law;
+  ReferenceShaper::State references;
+  Modulation last;
+  bool started = false;
+  std::uint64_t older = 0;  ///< samples in a row that were older than the last
+};
+
 ControllerConstants derive_constants(const ControllerConfiguration& configuration);
 
 /// Heap-free, noexcept, bounded; + − × ÷ sqrt only. Total: any measurement leaves a finite state.
@@ -65,22 +90,11 @@ class Controller {
   void reset() noexcept;
 
   SpaceVector v_p_hat() const noexcept { return state_.v_p_hat; }
+  ControllerState state() const noexcept;
+  void restore(const ControllerState& state) noexcept;
   const ControllerConstants& constants() const noexcept { return constants_; }
 
  private:
-  struct State {
-    SpaceVector v_p_hat;
-    SpaceVector v_p;  // at the last sample, for the notch
-    SpaceVector e1;   // ê_ξ1 at the last sample, for the trapezoid
-    SpaceVector y;
-    double q_error = 0.0;    // q̂ − q_r at the last sample, for the trapezoid
-    double eta_error = 0.0;  // η̂ − η_r: each grows without bound, the difference does not
-    double p_r = 0.0;
-    SpaceVector
-        mu_before;   // in force in the period that ends at the next sample, its value there, as if turning
-    SpaceVector mu;  // in force from the next sample on (delay 1), as if turning
-    SpaceVector command;  // the last answer, its value one period on
-  };
   // Where the law is evaluated: at a sample, or one step ahead of it.
   struct Point {
     SpaceVector v_p_hat, i;
@@ -105,7 +119,7 @@ class Controller {
   ControllerConfiguration configuration_;
   ControllerConstants constants_;
   ReferenceShaper shaper_;
-  State state_;
+  LawState state_;
   Modulation last_;
   bool started_ = false;
   std::uint64_t older_ = 0;  // samples in a row that were older than the last

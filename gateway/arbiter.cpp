@@ -41,11 +41,21 @@ void Arbiter::note_foreign_reference(std::uint32_t id) noexcept {
   standing_is_known_ = false;
 }
 
+void Arbiter::adopt(const Reference& reference) noexcept {
+  reference_id_ = reference.id;
+  setpoint_ = {reference.p, reference.q, reference.v_c};
+  standing_ = reference;
+  standing_is_known_ = true;
+}
+
 Decision Arbiter::decide(const Request& request, std::uint64_t step_now) noexcept {
   Decision decision;
   decision.client = request.client;
   decision.id = request.id;
   decision.setpoint = complete(request);
+  decision.decided_step = step_now;
+  decision.standing_reference_id = reference_id_;
+  decision.request_fingerprint = fingerprint(request);
   if (request.client == 0) return refused(decision, Verdict::bad_request, Field::client);
   if (request.id == 0) return refused(decision, Verdict::bad_request, Field::id);
 

@@ -29,6 +29,15 @@ struct Request {
   std::uint64_t effective_step = 0;  ///< 0 = as soon as possible; at most step_max
 };
 
+/// Of every field.
+constexpr std::uint32_t fingerprint(const Request& r) {
+  Fingerprint f;
+  for (const std::uint64_t word : {r.client, std::uint64_t{r.id}, std::uint64_t{r.given}, r.effective_step})
+    f.add(word);
+  for (const double number : {r.p, r.q, r.v_c, r.ramp_s}) f.add(number);
+  return f.value();
+}
+
 /// No step beyond this is meant: the end of a ramp never wraps around.
 inline constexpr std::uint64_t step_max = std::uint64_t{1} << 63;
 
@@ -47,6 +56,10 @@ struct Decision {
   Setpoint setpoint;          ///< as asked, what was not given filled in; maybe not finite if bad_request
   Margins margins;            ///< accepted, outside_envelope
   std::optional<Reference> reference;  ///< accepted
+  /// What it was decided on, so that it can be decided again.
+  std::uint64_t decided_step = 0;
+  std::uint32_t standing_reference_id = 0;
+  std::uint32_t request_fingerprint = 0;
 };
 
 class Arbiter {
@@ -80,6 +93,9 @@ class Arbiter {
   /// A reference that this arbiter did not issue is in force (it has restarted): ids go on above it, and
   /// until a request gives p, q and v_c nothing is known to stand.
   void note_foreign_reference(std::uint32_t id) noexcept;
+
+  /// That reference is known to stand, whoever issued it.
+  void adopt(const Reference& reference) noexcept;
 
   /// The newest reference issued, perhaps not yet in effect.
   const std::optional<Reference>& standing() const noexcept { return standing_; }

@@ -2,6 +2,7 @@
 // plant, controller and gateway in one step. Section II of the paper; per unit, time in seconds.
 #pragma once
 
+#include <bit>
 #include <cmath>
 #include <cstdint>
 #include <optional>
@@ -113,6 +114,35 @@ struct Measurement {
   double p_i = 0.0;
 };
 
+/// A hash over whole numbers and the bits of doubles, so that an answer can name exactly what it answers.
+/// Each step is a bijection: two values that differ in one field give the same 32 bits once in 2³² only.
+class Fingerprint {
+ public:
+  constexpr void add(std::uint64_t word) {
+    hash_ = (hash_ ^ word) * 0x9e3779b97f4a7c15u;
+    hash_ ^= hash_ >> 32;
+  }
+  constexpr void add(double number) { add(std::bit_cast<std::uint64_t>(number)); }
+  constexpr std::uint32_t value() const { return static_cast<std::uint32_t>(hash_ ^ (hash_ >> 29)); }
+
+ private:
+  std::uint64_t hash_ = 0xcbf29ce484222325u;
+};
+
+/// Of every field; how others compute it: services/recording/README.md.
+constexpr std::uint32_t fingerprint(const Measurement& m) {
+  Fingerprint f;
+  f.add(m.step);
+  f.add(static_cast<std::uint64_t>(m.timing.period_ns));
+  const bool flags[] = {m.timing.hold == Hold::still, m.timing.sampling == Sampling::period_mean,
+                        m.timing.delay == 1, m.blocked};
+  std::uint64_t word = m.reference_id;
+  for (const bool flag : flags) word = word << 1 | (flag ? 1u : 0u);
+  f.add(word);
+  for (const double number : {m.v_p.re, m.v_p.im, m.i.re, m.i.im, m.v_c, m.p_i}) f.add(number);
+  return f.value();
+}
+
 /// Bits of Modulation::status, as in weakgrid.idl.
 enum ModulationStatus : std::uint32_t {
   saturated = 1,
@@ -126,9 +156,11 @@ enum ModulationStatus : std::uint32_t {
 /// The answer to sample k: μ as it stands in αβ at the instant (k + delay)·T at which it takes effect.
 struct Modulation {
   std::uint64_t step = 0;
-  std::uint32_t period_ns = 0;     ///< echo of the contract
-  std::uint32_t reference_id = 0;  ///< the reference in force, 0 = none yet
-  std::uint32_t status = 0;        ///< ModulationStatus bits
+  std::uint32_t period_ns = 0;                ///< echo of the contract
+  std::uint32_t reference_id = 0;             ///< the reference in force, 0 = none yet
+  std::uint32_t status = 0;                   ///< ModulationStatus bits
+  std::uint32_t newest_reference_id = 0;      ///< accepted before this step, perhaps not yet in force
+  std::uint32_t measurement_fingerprint = 0;  ///< of the sample answered
   SpaceVector mu;
 };
 

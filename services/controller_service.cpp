@@ -2,9 +2,11 @@
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
+#include <algorithm>
 #include <atomic>
 
 #include "controller/controller.hpp"
+#include "services/manifest_constants.hpp"
 #include "services/runtime/announcer.hpp"
 #include "services/runtime/mailbox.hpp"
 #include "services/runtime/program.hpp"
@@ -12,30 +14,16 @@
 namespace weakgrid {
 namespace {
 
-std::vector<Constant> constants(const Controller& controller) {
-  const ControllerConstants& c = controller.constants();
-  return {{"T", c.T},
-          {"K1", c.K.k1},
-          {"K2", c.K.k2},
-          {"K3", c.K.k3},
-          {"notch_turn_re", c.notch.turn.re},
-          {"notch_turn_im", c.notch.turn.im},
-          {"notch_intake_re", c.notch.intake.re},
-          {"notch_intake_im", c.notch.intake.im},
-          {"tracking", c.tracking},
-          {"held_re", c.held.re},
-          {"held_im", c.held.im},
-          {"mean_to_end_re", c.mean_to_end.re},
-          {"mean_to_end_im", c.mean_to_end.im}};
-}
-
 class ControllerService {
  public:
   explicit ControllerService(const Settings& settings)
       : controller_(controller_configuration(settings)),
+        state_every_(
+            std::max<std::uint64_t>(50'000'000 / std::uint64_t{settings.timing.period_us * 1000u}, 1)),
         bus_(settings.unit.domain, settings.dds.interfaces, "weakgrid-controller"),
-        announcer_(bus_, settings, "controller", constants(controller_)),
+        announcer_(bus_, settings, "controller", constants_of(controller_.constants())),
         modulations_(bus_, settings.unit.number),
+        states_(bus_, settings.unit.number),
         reference_reader_(bus_, settings.unit.number, [this](const Reference& r, WriterId) { keep(r); }),
         measurement_reader_(bus_, settings.unit.number,
                             [this](const Measurement& m, WriterId w) { answer(m, w); }) {}
@@ -76,6 +64,8 @@ class ControllerService {
     }
     if (!modulations_.write(modulation)) unsent_.fetch_add(1, std::memory_order_relaxed);
     if (measurement.step == step_.load(std::memory_order_relaxed) && running_) return;  // asked again
+    if (measurement.step % state_every_ == 0 && !states_.write(controller_.state()))
+      unsent_.fetch_add(1, std::memory_order_relaxed);
     step_.store(measurement.step, std::memory_order_relaxed);
     running_.store(true, std::memory_order_relaxed);
     count(modulation.status);
@@ -117,6 +107,7 @@ class ControllerService {
   }
 
   Controller controller_;
+  const std::uint64_t state_every_;  // steps: 50 ms
   OneWriter one_plant_;
   Mailbox<Reference, 16> references_;
   std::atomic<bool> running_{false};
@@ -128,6 +119,7 @@ class ControllerService {
   Bus bus_;
   Announcer announcer_;
   Writer<Modulation> modulations_;
+  Writer<ControllerState> states_;
   Reader<Reference> reference_reader_;
   Reader<Measurement> measurement_reader_;
 };

@@ -57,9 +57,10 @@ class GatewayService {
       foreign_.fetch_add(1, std::memory_order_relaxed);
       return;
     }
+    // The step a decision names and what is known of it change together.
+    const std::lock_guard lock(mutex_);
     step_.store(measurement.step, std::memory_order_relaxed);
     if (verdict != OneWriter::Verdict::changed && measurement.blocked == was_blocked_) return;
-    const std::lock_guard lock(mutex_);
     was_blocked_ = measurement.blocked;
     if (measurement.blocked || verdict == OneWriter::Verdict::changed) {
       issue(arbiter_.block());

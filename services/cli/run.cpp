@@ -120,12 +120,14 @@ class Conductor {
   // Says what it plays, so that the recording tells; then everybody has met the recorder.
   void start_recording() {
     Writer<Manifest>& manifest = manifest_.emplace(client_.bus(), settings_.unit.number);
-    if (!manifest.write({.service = "run",
-                         .instance = random_identity(),
-                         .build = build_text(),
-                         .settings = to_toml(settings_),
-                         .constants = {}}))
-      throw BusError("DDS: the manifest cannot be written");
+    Manifest what{.service = "run",
+                  .instance = random_identity(),
+                  .build = build_text(),
+                  .settings = to_toml(settings_),
+                  .constants = {},
+                  .digest = {}};
+    what.digest = digest_of(what);
+    if (!manifest.write(what)) throw BusError("DDS: the manifest cannot be written");
     wait("the recorder to hear everybody", [this](Patience p) {
       return client_.wait_for(
           "recorder", p, [this](const Health& h) { return is_mine(h) && h.state == ServiceState::running; });

@@ -3,6 +3,8 @@
 
 #include <random>
 
+#include "services/runtime/sha256.hpp"
+
 namespace weakgrid {
 
 std::uint64_t random_identity() {
@@ -20,17 +22,37 @@ std::int64_t wall_time_ns() {
 
 std::string build_text() { return "weakgrid " WEAKGRID_VERSION ", " WEAKGRID_COMPILER; }
 
+std::string digest_of(const Manifest& manifest) {
+  Sha256 sum;
+  const auto add_number = [&sum](const auto& number) { sum.add(std::as_bytes(std::span{&number, 1})); };
+  const auto add_text = [&](const std::string& text) {
+    add_number(std::uint64_t{text.size()});
+    sum.add(std::as_bytes(std::span{text}));
+  };
+  add_text(manifest.service);
+  add_number(manifest.instance);
+  add_text(manifest.build);
+  add_text(manifest.settings);
+  for (const Constant& constant : manifest.constants) {
+    add_text(constant.name);
+    add_number(constant.value);
+  }
+  return sum.hex();
+}
+
 Announcer::Announcer(Bus& bus, const Settings& settings, const std::string& service,
                      std::vector<Constant> constants)
     : health_(bus, settings.unit.number),
       manifest_(bus, settings.unit.number),
       service_(service),
       instance_(settings.unit.instance != 0 ? settings.unit.instance : random_identity()) {
-  const Manifest manifest{.service = service_,
-                          .instance = instance_,
-                          .build = build_text(),
-                          .settings = to_toml(settings),
-                          .constants = std::move(constants)};
+  Manifest manifest{.service = service_,
+                    .instance = instance_,
+                    .build = build_text(),
+                    .settings = to_toml(settings),
+                    .constants = std::move(constants),
+                    .digest = {}};
+  manifest.digest = digest_of(manifest);
   if (!manifest_.write(manifest)) throw BusError("DDS: the manifest cannot be written");
 }
 

@@ -61,6 +61,7 @@ struct Manifest {
   std::string build;
   std::string settings;             // at most 8191 bytes
   std::vector<Constant> constants;  // at most 64
+  std::string digest;               // digest_of the rest
 };
 
 }  // namespace weakgrid

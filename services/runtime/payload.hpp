@@ -18,7 +18,7 @@ struct OfUnit {
 
 /// From a serialized payload with its encapsulation header; nothing for what no correct peer sends.
 /// For every message that travels: Measurement, Modulation, Request, DecisionMessage, Reference, Operation,
-/// Health, Manifest.
+/// ControllerState, Health, Manifest.
 template <class Message>
 std::optional<OfUnit<Message>> from_payload(std::span<const std::byte> payload);
 

@@ -24,6 +24,19 @@ bool decode_enum(From in, To last, To& out) {
   return true;
 }
 
+void encode(const Ramp& m, wire::Ramp& out) {
+  out.from(m.from);
+  out.to(m.to);
+  out.slope(m.slope);
+  out.start_step(m.start);
+  out.steps(m.steps);
+  out.slope_steps(m.slope_steps);
+}
+
+void decode(const wire::Ramp& in, Ramp& m) {
+  m = {in.from(), in.to(), in.slope(), in.start_step(), in.steps(), in.slope_steps()};
+}
+
 }  // namespace
 
 void encode(const Measurement& m, wire::Measurement& out) {
@@ -68,6 +81,8 @@ void encode(const Modulation& m, wire::Modulation& out) {
   out.period_ns(m.period_ns);
   out.reference_id(m.reference_id);
   out.status(m.status);
+  out.newest_reference_id(m.newest_reference_id);
+  out.measurement_fingerprint(m.measurement_fingerprint);
   out.step(m.step);
   out.modulation_alpha(m.mu.re);
   out.modulation_beta(m.mu.im);
@@ -78,6 +93,8 @@ bool decode(const wire::Modulation& in, Modulation& m) {
        .period_ns = in.period_ns(),
        .reference_id = in.reference_id(),
        .status = in.status(),
+       .newest_reference_id = in.newest_reference_id(),
+       .measurement_fingerprint = in.measurement_fingerprint(),
        .mu = {in.modulation_alpha(), in.modulation_beta()}};
   return true;
 }
@@ -118,6 +135,9 @@ void encode(const DecisionMessage& m, wire::SetpointDecision& out) {
   out.reference_id(reference.id);
   out.ramp_steps(reference.ramp_steps);
   out.effective_step(reference.effective_step);
+  out.decided_step(d.decided_step);
+  out.standing_reference_id(d.standing_reference_id);
+  out.request_fingerprint(d.request_fingerprint);
   out.margins().clear();
   for (const LimitMargin& margin : d.margins) {
     wire::LimitMargin& item = out.margins().emplace_back();
@@ -143,6 +163,9 @@ bool decode(const wire::SetpointDecision& in, DecisionMessage& m) {
                             .v_c = d.setpoint.v_c,
                             .effective_step = in.effective_step(),
                             .ramp_steps = in.ramp_steps()};
+  d.decided_step = in.decided_step();
+  d.standing_reference_id = in.standing_reference_id();
+  d.request_fingerprint = in.request_fingerprint();
   if (in.margins().size() > limit_count) return false;
   for (const wire::LimitMargin& item : in.margins()) {
     LimitMargin margin{.enforced = item.enforced(), .margin = item.margin()};
@@ -169,6 +192,73 @@ bool decode(const wire::Reference& in, Reference& m) {
        .v_c = in.dc_voltage(),
        .effective_step = in.effective_step(),
        .ramp_steps = in.ramp_steps()};
+  return true;
+}
+
+void encode(const ControllerState& m, wire::ControllerState& out) {
+  out.older_in_a_row(static_cast<std::uint32_t>(m.older));
+  out.step(m.last.step);
+  out.started(m.started);
+  out.reference_id(m.last.reference_id);
+  out.newest_reference_id(m.last.newest_reference_id);
+  out.status(m.last.status);
+  out.measurement_fingerprint(m.last.measurement_fingerprint);
+  out.period_ns(m.last.period_ns);
+  out.modulation_alpha(m.last.mu.re);
+  out.modulation_beta(m.last.mu.im);
+  out.filtered_pcc_voltage_alpha(m.law.v_p_hat.re);
+  out.filtered_pcc_voltage_beta(m.law.v_p_hat.im);
+  out.pcc_voltage_alpha(m.law.v_p.re);
+  out.pcc_voltage_beta(m.law.v_p.im);
+  out.energy_error(m.law.e1.re);
+  out.reactive_energy_error(m.law.e1.im);
+  out.energy_error_integral(m.law.y.re);
+  out.reactive_energy_error_integral(m.law.y.im);
+  out.reactive_power_error(m.law.q_error);
+  out.reactive_energy_error_kept(m.law.eta_error);
+  out.active_power_reference(m.law.p_r);
+  out.modulation_before_alpha(m.law.mu_before.re);
+  out.modulation_before_beta(m.law.mu_before.im);
+  out.modulation_in_force_alpha(m.law.mu.re);
+  out.modulation_in_force_beta(m.law.mu.im);
+  out.command_alpha(m.law.command.re);
+  out.command_beta(m.law.command.im);
+  encode(m.references.q, out.reactive_power_ramp());
+  encode(m.references.v_c, out.dc_voltage_ramp());
+  encode(m.references.pending.value_or(Reference{}), out.pending());
+  out.reference_in_force_id(m.references.id);
+  out.accepted_reference_id(m.references.newest_id);
+}
+
+bool decode(const wire::ControllerState& in, ControllerState& m) {
+  m = {};
+  m.older = in.older_in_a_row();
+  m.started = in.started();
+  m.last = {.step = in.step(),
+            .period_ns = in.period_ns(),
+            .reference_id = in.reference_id(),
+            .status = in.status(),
+            .newest_reference_id = in.newest_reference_id(),
+            .measurement_fingerprint = in.measurement_fingerprint(),
+            .mu = {in.modulation_alpha(), in.modulation_beta()}};
+  m.law.v_p_hat = {in.filtered_pcc_voltage_alpha(), in.filtered_pcc_voltage_beta()};
+  m.law.v_p = {in.pcc_voltage_alpha(), in.pcc_voltage_beta()};
+  m.law.e1 = {in.energy_error(), in.reactive_energy_error()};
+  m.law.y = {in.energy_error_integral(), in.reactive_energy_error_integral()};
+  m.law.q_error = in.reactive_power_error();
+  m.law.eta_error = in.reactive_energy_error_kept();
+  m.law.p_r = in.active_power_reference();
+  m.law.mu_before = {in.modulation_before_alpha(), in.modulation_before_beta()};
+  m.law.mu = {in.modulation_in_force_alpha(), in.modulation_in_force_beta()};
+  m.law.command = {in.command_alpha(), in.command_beta()};
+  decode(in.reactive_power_ramp(), m.references.q);
+  decode(in.dc_voltage_ramp(), m.references.v_c);
+  if (in.pending().id() != 0) {
+    m.references.pending.emplace();
+    if (!decode(in.pending(), *m.references.pending)) return false;
+  }
+  m.references.id = in.reference_in_force_id();
+  m.references.newest_id = in.accepted_reference_id();
   return true;
 }
 
@@ -228,6 +318,7 @@ void encode(const Manifest& m, wire::Manifest& out) {
     item.name(cut(constant.name, 31));
     item.value(constant.value);
   }
+  out.digest(cut(m.digest, 64));
 }
 
 bool decode(const wire::Manifest& in, Manifest& m) {
@@ -238,6 +329,7 @@ bool decode(const wire::Manifest& in, Manifest& m) {
   m.settings = in.settings().c_str();
   for (const wire::Constant& item : in.constants())
     m.constants.push_back({item.name().c_str(), item.value()});
+  m.digest = in.digest().c_str();
   return true;
 }
 

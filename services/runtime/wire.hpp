@@ -36,6 +36,7 @@ WEAKGRID_TOPIC(Request, SetpointRequest, "weakgrid/setpoint_request", command)
 WEAKGRID_TOPIC(DecisionMessage, SetpointDecision, "weakgrid/setpoint_decision", command)
 WEAKGRID_TOPIC(Reference, Reference, "weakgrid/reference", state)
 WEAKGRID_TOPIC(Operation, Operation, "weakgrid/operation", command)
+WEAKGRID_TOPIC(ControllerState, ControllerState, "weakgrid/controller_state", sample)
 WEAKGRID_TOPIC(Health, Health, "weakgrid/health", state)
 WEAKGRID_TOPIC(Manifest, Manifest, "weakgrid/manifest", state)
 #undef WEAKGRID_TOPIC
@@ -46,6 +47,7 @@ void encode(const Request& message, wire::SetpointRequest& out);
 void encode(const DecisionMessage& message, wire::SetpointDecision& out);
 void encode(const Reference& message, wire::Reference& out);
 void encode(const Operation& message, wire::Operation& out);
+void encode(const ControllerState& message, wire::ControllerState& out);
 void encode(const Health& message, wire::Health& out);
 void encode(const Manifest& message, wire::Manifest& out);
 
@@ -55,6 +57,7 @@ void encode(const Manifest& message, wire::Manifest& out);
 [[nodiscard]] bool decode(const wire::SetpointDecision& in, DecisionMessage& message);
 [[nodiscard]] bool decode(const wire::Reference& in, Reference& message);
 [[nodiscard]] bool decode(const wire::Operation& in, Operation& message);
+[[nodiscard]] bool decode(const wire::ControllerState& in, ControllerState& message);
 [[nodiscard]] bool decode(const wire::Health& in, Health& message);
 [[nodiscard]] bool decode(const wire::Manifest& in, Manifest& message);
 

@@ -36,6 +36,36 @@ std::uint64_t from_environment(const char* variable, std::uint64_t otherwise) {
 std::uint64_t law_count() { return from_environment("WEAKGRID_LAW_COUNT", 20'000); }
 std::uint64_t law_seed() { return from_environment("WEAKGRID_LAW_SEED", 20'261'122); }
 
+// A controller that goes on from another's state.
+
+TEST(ControllerStateLaw, WhoeverRestoresItAnswersTheNextSampleWithTheSameBits) {
+  std::mt19937_64 random(law_seed());
+  const LoopCase loop_case{.grid = inductive_grid(0.3), .orders = {{0.01, 0.5, 0.2}, {0.02, 0.7, 0.0}}};
+  Loop loop(loop_case);
+  for (std::uint64_t k = 0; k < 5000; ++k) {
+    // Repeats, samples missed and unusable ones included.
+    const std::uint64_t dice = random() % 100;
+    if (dice == 0) {
+      loop.step_missed();
+      continue;
+    }
+    Measurement sample = loop.unit().sample();
+    if (dice == 1) sample.v_c = nan;
+    if (dice == 2) sample.blocked = true;
+    if (dice == 3) sample.step -= std::min<std::uint64_t>(sample.step, 5);
+    Controller heir(test::controller_configuration(loop_case));
+    heir.restore(loop.controller().state());
+    const Modulation answer = heir.step(sample);
+    const Modulation expected = loop.step_seeing(sample);
+    ASSERT_EQ(answer.step, expected.step);
+    ASSERT_EQ(answer.status, expected.status);
+    ASSERT_EQ(answer.reference_id, expected.reference_id);
+    ASSERT_EQ(answer.newest_reference_id, expected.newest_reference_id);
+    ASSERT_EQ(answer.measurement_fingerprint, expected.measurement_fingerprint);
+    ASSERT_TRUE(answer.mu == expected.mu) << "step " << k;
+  }
+}
+
 // The notch.
 
 TEST(NotchLaw, PassesWhatTurnsAtOmegaUnchanged) {

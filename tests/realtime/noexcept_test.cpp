@@ -18,6 +18,7 @@ T& some() noexcept;
 static_assert(noexcept(some<Controller>().step(some<const Measurement>())));
 static_assert(noexcept(some<Controller>().accept(some<const Reference>())));
 static_assert(noexcept(some<Controller>().reset()));
+static_assert(noexcept(some<Controller>().restore(some<const Controller>().state())));
 static_assert(noexcept(some<ReferenceShaper>().accept(some<const Reference>())));
 static_assert(noexcept(some<ReferenceShaper>().advance_to(0, false)));
 static_assert(noexcept(some<const ReferenceShaper>().at(0)));

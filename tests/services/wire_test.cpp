@@ -8,6 +8,8 @@
 #include <limits>
 #include <random>
 
+#include "services/runtime/wire_fields.hpp"
+
 namespace weakgrid {
 namespace {
 
@@ -109,12 +111,16 @@ TEST(Wire, ModulationIsReceivedAsSentBitForBit) {
                           .period_ns = random.whole<std::uint32_t>(),
                           .reference_id = random.whole<std::uint32_t>(),
                           .status = random.whole<std::uint32_t>(),
+                          .newest_reference_id = random.whole<std::uint32_t>(),
+                          .measurement_fingerprint = random.whole<std::uint32_t>(),
                           .mu = {random.real(), random.real()}};
     const Modulation received = sent_and_received(sent);
     EXPECT_EQ(received.step, sent.step);
     EXPECT_EQ(received.period_ns, sent.period_ns);
     EXPECT_EQ(received.reference_id, sent.reference_id);
     EXPECT_EQ(received.status, sent.status);
+    EXPECT_EQ(received.newest_reference_id, sent.newest_reference_id);
+    EXPECT_EQ(received.measurement_fingerprint, sent.measurement_fingerprint);
     EXPECT_SAME_VECTOR(received.mu, sent.mu);
     ASSERT_FALSE(HasFailure()) << "round " << n;
   }
@@ -188,6 +194,9 @@ DecisionMessage random_decision(Random& random) {
     m.decision.reference->q = m.decision.setpoint.q;
     m.decision.reference->v_c = m.decision.setpoint.v_c;
   }
+  m.decision.decided_step = random.whole<std::uint64_t>();
+  m.decision.standing_reference_id = random.whole<std::uint32_t>();
+  m.decision.request_fingerprint = random.whole<std::uint32_t>();
   m.text = random.text(255);
   return m;
 }
@@ -203,6 +212,9 @@ TEST(Wire, DecisionIsReceivedAsSentBitForBit) {
     EXPECT_EQ(in.id, out.id);
     EXPECT_EQ(in.verdict, out.verdict);
     EXPECT_EQ(in.field, out.field);
+    EXPECT_EQ(in.decided_step, out.decided_step);
+    EXPECT_EQ(in.standing_reference_id, out.standing_reference_id);
+    EXPECT_EQ(in.request_fingerprint, out.request_fingerprint);
     EXPECT_SAME_BITS(in.setpoint.p, out.setpoint.p);
     EXPECT_SAME_BITS(in.setpoint.q, out.setpoint.q);
     EXPECT_SAME_BITS(in.setpoint.v_c, out.setpoint.v_c);
@@ -214,6 +226,88 @@ TEST(Wire, DecisionIsReceivedAsSentBitForBit) {
     }
     ASSERT_EQ(in.reference.has_value(), out.reference.has_value());
     if (out.reference) expect_same(*in.reference, *out.reference);
+    ASSERT_FALSE(HasFailure()) << "round " << n;
+  }
+}
+
+ControllerState random_controller_state(Random& random) {
+  ControllerState s;
+  for (SpaceVector* v : {&s.law.v_p_hat, &s.law.v_p, &s.law.e1, &s.law.y, &s.law.mu_before, &s.law.mu,
+                         &s.law.command, &s.last.mu})
+    *v = {random.real(), random.real()};
+  for (double* x : {&s.law.q_error, &s.law.eta_error, &s.law.p_r}) *x = random.real();
+  for (Ramp* r : {&s.references.q, &s.references.v_c})
+    *r = {random.real(),
+          random.real(),
+          random.real(),
+          random.whole<std::uint64_t>(),
+          random.whole<std::uint32_t>(),
+          random.whole<std::uint32_t>()};
+  if (random.flag()) {
+    s.references.pending = random_reference(random);
+    s.references.pending->id |= 1;
+  }
+  s.references.id = random.whole<std::uint32_t>();
+  s.references.newest_id = random.whole<std::uint32_t>();
+  s.last.step = random.whole<std::uint64_t>();
+  for (std::uint32_t* n : {&s.last.period_ns, &s.last.reference_id, &s.last.status,
+                           &s.last.newest_reference_id, &s.last.measurement_fingerprint})
+    *n = random.whole<std::uint32_t>();
+  s.started = random.flag();
+  s.older = random.up_to(17);
+  return s;
+}
+
+// The fields tell whether two are the same; that they are all of them, the test against the IDL tells.
+TEST(Wire, ControllerStateIsReceivedAsSentBitForBit) {
+  Random random;
+  for (int n = 0; n < rounds; ++n) {
+    const ControllerState sent = random_controller_state(random);
+    const ControllerState received = sent_and_received(sent);
+    EXPECT_SAME_VECTOR(received.law.v_p_hat, sent.law.v_p_hat);
+    EXPECT_SAME_VECTOR(received.law.v_p, sent.law.v_p);
+    EXPECT_SAME_VECTOR(received.law.e1, sent.law.e1);
+    EXPECT_SAME_VECTOR(received.law.y, sent.law.y);
+    EXPECT_SAME_BITS(received.law.q_error, sent.law.q_error);
+    EXPECT_SAME_BITS(received.law.eta_error, sent.law.eta_error);
+    EXPECT_SAME_BITS(received.law.p_r, sent.law.p_r);
+    EXPECT_SAME_VECTOR(received.law.mu_before, sent.law.mu_before);
+    EXPECT_SAME_VECTOR(received.law.mu, sent.law.mu);
+    EXPECT_SAME_VECTOR(received.law.command, sent.law.command);
+    EXPECT_SAME_VECTOR(received.last.mu, sent.last.mu);
+    const auto before = fields_of(1, sent), after = fields_of(1, received);
+    ASSERT_EQ(before.size(), after.size());
+    for (std::size_t k = 0; k < before.size(); ++k)
+      EXPECT_TRUE(is_same(before[k].value, after[k].value)) << before[k].name;
+    EXPECT_EQ(received.references.pending.has_value(), sent.references.pending.has_value());
+    EXPECT_EQ(received.started, sent.started);
+    ASSERT_FALSE(HasFailure()) << "round " << n;
+  }
+}
+
+TEST(Wire, AnyOtherBitInASampleOrRequestGivesAnotherFingerprint) {
+  Random random;
+  for (int n = 0; n < rounds / 10; ++n) {
+    const Measurement m = random_measurement(random);
+    for (double Measurement::*x : {&Measurement::v_c, &Measurement::p_i})
+      for (int bit = 0; bit < 64; ++bit) {
+        Measurement other = m;
+        other.*x = std::bit_cast<double>(bits(m.*x) ^ std::uint64_t{1} << bit);
+        EXPECT_NE(fingerprint(other), fingerprint(m));
+      }
+    for (SpaceVector Measurement::*v : {&Measurement::v_p, &Measurement::i})
+      for (double SpaceVector::*x : {&SpaceVector::re, &SpaceVector::im}) {
+        Measurement other = m;
+        other.*v.*x = std::bit_cast<double>(bits(m.*v.*x) ^ std::uint64_t{1} << random.up_to(63));
+        EXPECT_NE(fingerprint(other), fingerprint(m));
+      }
+    Measurement others[5] = {m, m, m, m, m};
+    others[0].step ^= std::uint64_t{1} << random.up_to(63);
+    others[1].reference_id ^= 1u << random.up_to(31);
+    others[2].blocked = !m.blocked;
+    others[3].timing.delay = m.timing.delay == 1 ? 0 : 1;
+    others[4].timing.period_ns ^= 1 << random.up_to(30);
+    for (const Measurement& other : others) EXPECT_NE(fingerprint(other), fingerprint(m));
     ASSERT_FALSE(HasFailure()) << "round " << n;
   }
 }
@@ -269,7 +363,8 @@ TEST(Wire, ManifestIsReceivedAsSent) {
                   .instance = random.whole<std::uint64_t>(),
                   .build = random.text(255),
                   .settings = random.text(8191),
-                  .constants = {}};
+                  .constants = {},
+                  .digest = random.text(64)};
     for (std::uint32_t k = random.up_to(64); k > 0; --k)
       sent.constants.push_back({random.text(31), random.real()});
     const Manifest received = sent_and_received(sent);
@@ -277,6 +372,7 @@ TEST(Wire, ManifestIsReceivedAsSent) {
     EXPECT_EQ(received.instance, sent.instance);
     EXPECT_EQ(received.build, sent.build);
     EXPECT_EQ(received.settings, sent.settings);
+    EXPECT_EQ(received.digest, sent.digest);
     ASSERT_EQ(received.constants.size(), sent.constants.size());
     for (std::size_t k = 0; k < sent.constants.size(); ++k) {
       EXPECT_EQ(received.constants[k].name, sent.constants[k].name);
@@ -298,8 +394,13 @@ TEST(Wire, TextsLongerThanTheContractAreCut) {
   EXPECT_EQ(health.digest, std::string(64, 'x'));
   EXPECT_EQ(health.text, std::string(255, 'x'));
   EXPECT_EQ(health.counters.at(0).name, std::string(31, 'x'));
-  const Manifest manifest = sent_and_received(
-      Manifest{.service = much, .instance = 1, .build = much, .settings = much, .constants = {{much, 1.0}}});
+  const Manifest manifest = sent_and_received(Manifest{.service = much,
+                                                       .instance = 1,
+                                                       .build = much,
+                                                       .settings = much,
+                                                       .constants = {{much, 1.0}},
+                                                       .digest = much});
+  EXPECT_EQ(manifest.digest, std::string(64, 'x'));
   EXPECT_EQ(manifest.service, std::string(15, 'x'));
   EXPECT_EQ(manifest.build, std::string(255, 'x'));
   EXPECT_EQ(manifest.settings, std::string(8191, 'x'));

@@ -1,0 +1,30 @@
+// Serialized payload → generated type, by Fast CDR alone. For the runtime's own sources.
+#pragma once
+
+#include <fastcdr/Cdr.h>
+#include <fastcdr/FastBuffer.h>
+#include <fastcdr/exceptions/Exception.h>
+
+#include <cstddef>
+#include <span>
+
+namespace weakgrid {
+
+/// False: the bytes are not of that type.
+template <class Wire>
+[[nodiscard]] bool deserialize(std::span<const std::byte> payload, Wire& wire) {
+  using eprosima::fastcdr::Cdr;
+  // Fast CDR takes what it only reads as changeable.
+  auto* bytes = const_cast<char*>(reinterpret_cast<const char*>(payload.data()));
+  eprosima::fastcdr::FastBuffer buffer(bytes, payload.size());
+  Cdr cdr(buffer, Cdr::DEFAULT_ENDIAN, Cdr::DDS_CDR);
+  try {
+    cdr.read_encapsulation();
+    wire.deserialize(cdr);
+  } catch (const eprosima::fastcdr::exception::Exception&) {
+    return false;
+  }
+  return true;
+}
+
+}  // namespace weakgrid

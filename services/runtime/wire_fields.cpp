@@ -1,0 +1,281 @@
+// WireFields: see the header. The lists follow weakgrid.idl line by line; a test holds them to it.
+#include "services/runtime/wire_fields.hpp"
+
+#include <fmt/format.h>
+
+#include <bit>
+
+#include "services/runtime/payload_cdr.hpp"
+#include "services/runtime/wire.hpp"
+
+namespace weakgrid {
+
+namespace {
+
+using Value = WireField::Value;
+
+template <class Whole>
+std::enable_if_t<std::is_integral_v<Whole>, Value> value_of(Whole number) {
+  if constexpr (std::is_same_v<Whole, bool>)
+    return number;
+  else if constexpr (std::is_signed_v<Whole>)
+    return static_cast<std::int64_t>(number);
+  else
+    return static_cast<std::uint64_t>(number);
+}
+Value value_of(double number) { return number; }
+template <class Text>
+auto value_of(const Text& text) -> decltype(text.c_str(), Value{}) {
+  return std::string(text.c_str());
+}
+
+// What no enumerator stands for is shown as the number that it is.
+template <class Enum, std::size_t n>
+Value enumerator(Enum value, const char* const (&names)[n]) {
+  const auto number = static_cast<std::size_t>(value);
+  return number < n ? std::string(names[number]) : std::to_string(number);
+}
+
+Value value_of(wire::Verdict value) {
+  return enumerator(value, {"ACCEPTED", "OUTSIDE_ENVELOPE", "BAD_REQUEST", "STALE_REQUEST", "UNIT_BLOCKED"});
+}
+Value value_of(wire::RequestField value) {
+  return enumerator(value,
+                    {"NO_FIELD", "FIELD_CLIENT", "FIELD_ID", "FIELD_GIVEN", "FIELD_ACTIVE_POWER",
+                     "FIELD_REACTIVE_POWER", "FIELD_DC_VOLTAGE", "FIELD_RAMP_S", "FIELD_EFFECTIVE_STEP"});
+}
+Value value_of(wire::LimitName value) {
+  return enumerator(value, {"STEADY_STATE", "CURRENT", "CONTROL", "CONTROL_ROUGH", "PCC_VOLTAGE_MIN",
+                            "PCC_VOLTAGE_MAX", "DC_VOLTAGE_MIN", "DC_VOLTAGE_MAX"});
+}
+Value value_of(wire::OperationKind value) { return enumerator(value, {"ADVANCE", "RESET_TRIP"}); }
+Value value_of(wire::ServiceState value) {
+  return enumerator(value, {"STARTING", "RUNNING", "WAITING", "BLOCKED_BY_TRIP", "STOPPED"});
+}
+
+template <class Sequence, class Describe>
+Value sequence(const Sequence& items, Describe describe) {
+  std::string text;
+  for (const auto& item : items) text += (text.empty() ? "" : ";") + describe(item);
+  return text;
+}
+
+#define FIELD(name) \
+  { #name, value_of(m.name()) }
+
+WireFields list(const wire::Measurement& m) {
+  return {FIELD(unit),
+          FIELD(period_ns),
+          FIELD(flags),
+          FIELD(reference_id),
+          FIELD(step),
+          FIELD(time_ns),
+          FIELD(pcc_voltage_alpha),
+          FIELD(pcc_voltage_beta),
+          FIELD(current_alpha),
+          FIELD(current_beta),
+          FIELD(dc_voltage),
+          FIELD(source_power)};
+}
+
+WireFields list(const wire::Modulation& m) {
+  return {FIELD(unit),   FIELD(period_ns),           FIELD(reference_id),
+          FIELD(status), FIELD(newest_reference_id), FIELD(measurement_fingerprint),
+          FIELD(step),   FIELD(modulation_alpha),    FIELD(modulation_beta)};
+}
+
+WireFields list(const wire::SetpointRequest& m) {
+  return {FIELD(unit),       FIELD(given),        FIELD(client),
+          FIELD(id),         FIELD(active_power), FIELD(reactive_power),
+          FIELD(dc_voltage), FIELD(ramp_s),       FIELD(effective_step)};
+}
+
+WireFields list(const wire::SetpointDecision& m) {
+  return {FIELD(unit),
+          FIELD(id),
+          FIELD(client),
+          FIELD(verdict),
+          FIELD(field),
+          FIELD(active_power),
+          FIELD(reactive_power),
+          FIELD(dc_voltage),
+          FIELD(reference_id),
+          FIELD(ramp_steps),
+          FIELD(effective_step),
+          FIELD(decided_step),
+          FIELD(standing_reference_id),
+          FIELD(request_fingerprint),
+          {"margins", sequence(m.margins(),
+                               [](const wire::LimitMargin& item) {
+                                 return to_text(value_of(item.limit())) + ":" + to_text(item.enforced()) +
+                                        ":" + to_text(item.margin());
+                               })},
+          FIELD(text)};
+}
+
+WireFields list(const wire::Reference& m) {
+  return {FIELD(unit),           FIELD(id),         FIELD(ramp_steps),    FIELD(active_power),
+          FIELD(reactive_power), FIELD(dc_voltage), FIELD(effective_step)};
+}
+
+WireFields list(const wire::Operation& m) {
+  return {FIELD(unit), FIELD(client), FIELD(id), FIELD(kind), FIELD(until_step)};
+}
+
+WireFields list(const wire::Health& m) {
+  return {FIELD(unit),
+          FIELD(service),
+          FIELD(instance),
+          FIELD(state),
+          FIELD(step),
+          FIELD(reference_id),
+          FIELD(wall_time_ns),
+          {"counters", sequence(m.counters(),
+                                [](const wire::Counter& item) {
+                                  return std::string(item.name().c_str()) + ":" +
+                                         std::to_string(item.value());
+                                })},
+          FIELD(digest),
+          FIELD(text)};
+}
+
+WireFields list(const wire::Manifest& m) {
+  return {FIELD(unit),
+          FIELD(service),
+          FIELD(instance),
+          FIELD(build),
+          FIELD(settings),
+          {"constants", sequence(m.constants(),
+                                 [](const wire::Constant& item) {
+                                   return item.name().c_str() + (":" + to_text(item.value()));
+                                 })},
+          FIELD(digest)};
+}
+
+#define RAMP(name)                                                                                          \
+  {#name ".from", m.name().from()}, {#name ".to", m.name().to()}, {#name ".slope", m.name().slope()},       \
+      {#name ".start_step", value_of(m.name().start_step())}, {#name ".steps", value_of(m.name().steps())}, \
+  {                                                                                                         \
+#name ".slope_steps", value_of(m.name().slope_steps())                                                  \
+  }
+
+WireFields list(const wire::ControllerState& m) {
+  return {FIELD(unit),
+          FIELD(older_in_a_row),
+          FIELD(step),
+          FIELD(started),
+          FIELD(reference_in_force_id),
+          FIELD(accepted_reference_id),
+          FIELD(reference_id),
+          FIELD(newest_reference_id),
+          FIELD(status),
+          FIELD(measurement_fingerprint),
+          FIELD(period_ns),
+          FIELD(modulation_alpha),
+          FIELD(modulation_beta),
+          FIELD(filtered_pcc_voltage_alpha),
+          FIELD(filtered_pcc_voltage_beta),
+          FIELD(pcc_voltage_alpha),
+          FIELD(pcc_voltage_beta),
+          FIELD(energy_error),
+          FIELD(reactive_energy_error),
+          FIELD(energy_error_integral),
+          FIELD(reactive_energy_error_integral),
+          FIELD(reactive_power_error),
+          FIELD(reactive_energy_error_kept),
+          FIELD(active_power_reference),
+          FIELD(modulation_before_alpha),
+          FIELD(modulation_before_beta),
+          FIELD(modulation_in_force_alpha),
+          FIELD(modulation_in_force_beta),
+          FIELD(command_alpha),
+          FIELD(command_beta),
+          RAMP(reactive_power_ramp),
+          RAMP(dc_voltage_ramp),
+          {"pending.unit", value_of(m.pending().unit())},
+          {"pending.id", value_of(m.pending().id())},
+          {"pending.ramp_steps", value_of(m.pending().ramp_steps())},
+          {"pending.active_power", m.pending().active_power()},
+          {"pending.reactive_power", m.pending().reactive_power()},
+          {"pending.dc_voltage", m.pending().dc_voltage()},
+          {"pending.effective_step", value_of(m.pending().effective_step())}};
+}
+
+#undef RAMP
+#undef FIELD
+
+}  // namespace
+
+template <class Message>
+WireFields fields_of(std::uint32_t unit, const Message& message) {
+  typename Topic<Message>::Wire wire;
+  wire.unit(unit);
+  encode(message, wire);
+  return list(wire);
+}
+
+std::optional<WireFields> fields_of_payload(std::string_view type, std::span<const std::byte> payload) {
+#define TRY(Message)                                                              \
+  if (type == "weakgrid::wire::" #Message) {                                      \
+    wire::Message wire;                                                           \
+    return deserialize(payload, wire) ? std::optional(list(wire)) : std::nullopt; \
+  }
+  TRY(Measurement)
+  TRY(Modulation)
+  TRY(SetpointRequest)
+  TRY(SetpointDecision)
+  TRY(Reference)
+  TRY(Operation)
+  TRY(ControllerState)
+  TRY(Health)
+  TRY(Manifest)
+#undef TRY
+  return std::nullopt;
+}
+
+std::string to_text(const Value& value) {
+  return std::visit(
+      [](const auto& v) {
+        if constexpr (std::is_same_v<std::decay_t<decltype(v)>, bool>)
+          return std::string(v ? "1" : "0");
+        else
+          return fmt::format("{}", v);
+      },
+      value);
+}
+
+std::string to_hex(const Value& value) {
+  if (const auto* number = std::get_if<double>(&value))
+    return fmt::format("{:#018x}", std::bit_cast<std::uint64_t>(*number));
+  if (const auto* text = std::get_if<std::string>(&value)) {
+    std::string hex = "0x";
+    for (const char byte : *text) hex += fmt::format("{:02x}", static_cast<unsigned char>(byte));
+    return hex;
+  }
+  if (const auto* number = std::get_if<std::int64_t>(&value))
+    return fmt::format("{:#x}", static_cast<std::uint64_t>(*number));
+  if (const auto* flag = std::get_if<bool>(&value)) return *flag ? "0x1" : "0x0";
+  return fmt::format("{:#x}", std::get<std::uint64_t>(value));
+}
+
+bool is_same(const Value& a, const Value& b) {
+  const auto* x = std::get_if<double>(&a);
+  const auto* y = std::get_if<double>(&b);
+  if (x != nullptr && y != nullptr)
+    return std::bit_cast<std::uint64_t>(*x) == std::bit_cast<std::uint64_t>(*y);
+  return a == b;
+}
+
+#define WEAKGRID_INSTANTIATE(Message) template WireFields fields_of<Message>(std::uint32_t, const Message&);
+WEAKGRID_INSTANTIATE(Measurement)
+WEAKGRID_INSTANTIATE(Modulation)
+WEAKGRID_INSTANTIATE(Request)
+WEAKGRID_INSTANTIATE(DecisionMessage)
+WEAKGRID_INSTANTIATE(Reference)
+WEAKGRID_INSTANTIATE(Operation)
+WEAKGRID_INSTANTIATE(ControllerState)
+WEAKGRID_INSTANTIATE(Health)
+WEAKGRID_INSTANTIATE(Manifest)
+#undef WEAKGRID_INSTANTIATE
+
+}  // namespace weakgrid
