@@ -111,10 +111,12 @@ class PlantService {
     while (const auto reference = references_.take())
       if (!emulator_.accept(*reference)) refused_references_.fetch_add(1, std::memory_order_relaxed);
     while (const auto operation = operations_.take()) {
-      if (operation->kind == OperationKind::advance)
-        until_ = operation->until_step;
-      else
+      if (operation->kind == OperationKind::reset_trip)
         emulator_.reset_trip();
+      else if (operation->until_step >= emulator_.step())
+        until_ = operation->until_step;
+      else  // nobody who knows this unit asks it to wait in the past
+        refused_operations_.fetch_add(1, std::memory_order_relaxed);
     }
     publish();
   }
@@ -166,6 +168,7 @@ class PlantService {
                        {"saturated", saturated_},
                        {"refused_modulations", refused_modulations_},
                        {"refused_references", refused_references_},
+                       {"refused_operations", refused_operations_},
                        {"foreign_modulations", foreign_},
                        {"malformed", modulation_reader_.malformed() + reference_reader_.malformed() +
                                          operation_reader_.malformed()},
@@ -187,7 +190,8 @@ class PlantService {
   std::atomic<ServiceState> state_{ServiceState::starting};
   std::atomic<Trip> trip_{Trip::none};
   std::atomic<std::uint64_t> step_{0}, trip_step_{0}, holds_{0}, resends_{0}, saturated_{0};
-  std::atomic<std::uint64_t> refused_modulations_{0}, refused_references_{0}, foreign_{0}, overflow_{0};
+  std::atomic<std::uint64_t> refused_modulations_{0}, refused_references_{0}, refused_operations_{0},
+      foreign_{0}, overflow_{0};
   std::atomic<std::uint32_t> reference_id_{0};
   std::mutex digest_mutex_;
   std::string digest_text_;

@@ -172,6 +172,7 @@ class Conductor {
       if (stop_.wait(Patience(0))) throw std::runtime_error("stopped by a signal");
       check_processes();
       const std::uint64_t now_at = health_of("plant").step;
+      if (now_at == 0) refuse_company();  // whoever has begun stays
       const auto now = std::chrono::steady_clock::now();
       if (now_at > last_step) deadline = now + to_start;
       last_step = now_at;

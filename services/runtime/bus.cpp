@@ -43,11 +43,15 @@ void apply(QosClass qos_class, bool is_reader, Qos& qos) {
     case QosClass::sample:
       // Best effort: a late sample is worthless, and reliability costs allocations at each write.
       qos.reliability().kind = dds::BEST_EFFORT_RELIABILITY_QOS;
+      qos.durability().kind = dds::VOLATILE_DURABILITY_QOS;
       qos.history().kind = dds::KEEP_LAST_HISTORY_QOS;
       qos.history().depth = is_reader ? 8 : 1;
       break;
     case QosClass::command:
       qos.reliability().kind = dds::RELIABLE_RELIABILITY_QOS;
+      // The writer keeps what it wrote for a recorder that hears of it late; whoever acts on it must not be
+      // late.
+      qos.durability().kind = is_reader ? dds::VOLATILE_DURABILITY_QOS : dds::TRANSIENT_LOCAL_DURABILITY_QOS;
       qos.history().kind = dds::KEEP_ALL_HISTORY_QOS;
       break;
     case QosClass::state:
