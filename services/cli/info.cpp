@@ -38,12 +38,6 @@ struct RecordingInfo {
   }
 };
 
-// The low 32 bits of a count that goes on from `last`.
-std::uint64_t unwrap(std::uint32_t low, std::uint64_t last) {
-  const auto difference = static_cast<std::int32_t>(low - static_cast<std::uint32_t>(last));
-  return last + static_cast<std::uint64_t>(static_cast<std::int64_t>(difference));
-}
-
 void see(RecordingInfo& info, const mcap::Reader& reader, const mcap::Message& message) {
   auto [entry, is_new] = info.channels.try_emplace(message.channel_id);
   ChannelInfo& channel = entry->second;

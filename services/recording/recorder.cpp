@@ -121,11 +121,13 @@ void Recorder::run() {
 // True: there may be more.
 bool Recorder::drain() {
   for (int n = 0; n < samples_between_ticks; ++n) {
-    if (before_ && triggered_)
+    if (const auto oldest = before_ && triggered_ ? before_->front() : std::nullopt) {
+      write_standing(oldest->reception_ns);
       while (const auto kept = before_->front()) {
         write(*kept);
         before_->drop_front();
       }
+    }
     const auto sample = ring_.front();
     if (!sample) return false;
     if (triggered_)
@@ -140,9 +142,13 @@ bool Recorder::drain() {
 void Recorder::keep(const RawSample& sample) {
   hear_manifest(sample);
   const auto oldest_ns = sample.reception_ns - static_cast<std::int64_t>(options_.before_s * 1e9);
-  for (auto kept = before_->front(); kept && kept->reception_ns < oldest_ns; kept = before_->front())
+  const auto forget_oldest = [this](const RawSample& oldest) {
+    keep_standing(oldest);
     before_->drop_front();
-  while (!before_->put(sample) && before_->front()) before_->drop_front();
+  };
+  for (auto kept = before_->front(); kept && kept->reception_ns < oldest_ns; kept = before_->front())
+    forget_oldest(*kept);
+  while (!before_->put(sample) && before_->front()) forget_oldest(*before_->front());
   if (is_trip(sample)) triggered_ = true;
 }
 
@@ -159,7 +165,10 @@ Recorder::Writer& Recorder::writer_at(std::uint32_t index) {
 
 void Recorder::take_new_writers() {
   const std::lock_guard lock(mutex_);
-  for (SourceWriter& source : new_writers_) writers_.push_back({.source = std::move(source)});
+  for (SourceWriter& source : new_writers_) {
+    const bool is_state = is_state_type(source.type).value_or(source.transient_local);
+    writers_.push_back({.source = std::move(source), .is_state = is_state});
+  }
   new_writers_.clear();
 }
 
@@ -171,6 +180,7 @@ void Recorder::write(const RawSample& sample) {
   if (rotates(Clock::now(), sample.payload.size())) {
     close_part();
     if (is_recording_) open_part();
+    if (is_recording_) write_standing(sample.reception_ns);
     if (!is_recording_) {
       after_stop_.fetch_add(1, std::memory_order_relaxed);
       return;
@@ -180,12 +190,7 @@ void Recorder::write(const RawSample& sample) {
   Writer& writer = writer_at(sample.writer);
   note(writer, sample);
   if (!sample.has_data) return;
-  const mcap::ChannelId channel = channel_of(writer);
-  const mcap::Status status =
-      channel == 0 ? mcap::Status{mcap::Fault::refused, 0, "no channel is left"}
-                   : file_.write_message(channel, static_cast<std::uint32_t>(sample.sequence),
-                                         static_cast<std::uint64_t>(sample.reception_ns),
-                                         static_cast<std::uint64_t>(sample.source_ns), sample.payload);
+  const mcap::Status status = write_message(writer, sample);
   if (status.fault == mcap::Fault::refused) {
     ++writer.refused;
     refused_.fetch_add(1, std::memory_order_relaxed);
@@ -194,6 +199,35 @@ void Recorder::write(const RawSample& sample) {
   check(status);
   messages_.fetch_add(1, std::memory_order_relaxed);
   bytes_.fetch_add(sample.payload.size(), std::memory_order_relaxed);
+  keep_standing(sample);
+}
+
+mcap::Status Recorder::write_message(Writer& writer, const RawSample& sample) {
+  const mcap::ChannelId channel = channel_of(writer);
+  if (channel == 0) return {mcap::Fault::refused, 0, "no channel is left"};
+  return file_.write_message(channel, static_cast<std::uint32_t>(sample.sequence),
+                             static_cast<std::uint64_t>(sample.reception_ns),
+                             static_cast<std::uint64_t>(sample.source_ns), sample.payload);
+}
+
+void Recorder::keep_standing(const RawSample& sample) {
+  Writer& writer = writer_at(sample.writer);
+  if (!writer.is_state || !sample.has_data) return;
+  writer.standing_payload.assign(sample.payload.begin(), sample.payload.end());
+  writer.standing = sample;
+}
+
+// Each part stands for itself: a late joiner would be told the same, and that is when it hears it.
+void Recorder::write_standing(std::int64_t now_ns) {
+  for (Writer& writer : writers_) {
+    if (!writer.standing) continue;
+    RawSample sample = *writer.standing;
+    sample.payload = writer.standing_payload;
+    sample.reception_ns = now_ns;
+    if (writer.sequences.count() == 0 || sample.sequence > writer.sequences.last())
+      writer.sequences.see(sample.sequence);
+    check(write_message(writer, sample));
+  }
 }
 
 void Recorder::note(Writer& writer, const RawSample& sample) {
@@ -230,20 +264,23 @@ void Recorder::hear_manifest(const RawSample& sample) {
   if (!sample.has_data || source.type != "weakgrid::wire::Manifest") return;
   const auto manifest = from_payload<Manifest>(sample.payload);
   if (!manifest || manifests_.size() >= manifests_max) return;
-  if (manifests_.emplace(manifest->message.instance, *manifest).second && is_recording_)
-    write_manifest(*manifest);
+  const auto [heard, is_new] =
+      manifests_.try_emplace(manifest->message.instance, HeardManifest{source.guid, *manifest});
+  if (is_new && is_recording_) write_manifest(heard->second);
 }
 
-void Recorder::write_manifest(const OfUnit<Manifest>& manifest) {
-  const Manifest& m = manifest.message;
-  nlohmann::json constants = nlohmann::json::object();
-  for (const Constant& constant : m.constants) constants[constant.name] = constant.value;
-  check(file_.write_metadata(manifest_metadata, {{"unit", std::to_string(manifest.unit)},
+void Recorder::write_manifest(const HeardManifest& heard) {
+  const Manifest& m = heard.manifest.message;
+  nlohmann::json constants = nlohmann::json::array();
+  for (const Constant& constant : m.constants) constants.push_back({constant.name, constant.value});
+  check(file_.write_metadata(manifest_metadata, {{"unit", std::to_string(heard.manifest.unit)},
+                                                 {"writer", heard.writer},
                                                  {"service", m.service},
                                                  {"instance", fmt::format("{:016x}", m.instance)},
                                                  {"build", m.build},
                                                  {"settings", m.settings},
-                                                 {"constants", constants.dump()}}));
+                                                 {"constants", constants.dump()},
+                                                 {"digest", m.digest}}));
 }
 
 void Recorder::open_part() {

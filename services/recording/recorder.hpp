@@ -75,10 +75,13 @@ class Recorder {
   using Clock = std::chrono::steady_clock;
   struct Writer {
     SourceWriter source;
+    bool is_state = false;  // its last word stands: repeated where a part begins
     mcap::ChannelId channel = 0;
     SequenceMap sequences{};
     std::vector<std::uint64_t> without_data{};
     std::uint64_t refused = 0;
+    std::optional<RawSample> standing{};
+    std::vector<std::byte> standing_payload{};
   };
 
   void run();
@@ -87,10 +90,17 @@ class Recorder {
   bool is_trip(const RawSample& sample);
   void write(const RawSample& sample);
   void note(Writer& writer, const RawSample& sample);
+  void keep_standing(const RawSample& sample);
+  void write_standing(std::int64_t now_ns);
+  mcap::Status write_message(Writer& writer, const RawSample& sample);
   mcap::ChannelId channel_of(Writer& writer);
   mcap::SchemaId schema_of(const std::string& type);
   void hear_manifest(const RawSample& sample);
-  void write_manifest(const OfUnit<Manifest>& manifest);
+  struct HeardManifest {
+    std::string writer;
+    OfUnit<Manifest> manifest;
+  };
+  void write_manifest(const HeardManifest& heard);
   void take_new_writers();
   Writer& writer_at(std::uint32_t index);
   void tick(Clock::time_point now);
@@ -118,7 +128,7 @@ class Recorder {
   bool is_recording_ = false;
   std::deque<Writer> writers_;
   std::map<std::string, mcap::SchemaId> schemas_;
-  std::map<std::uint64_t, OfUnit<Manifest>> manifests_;  // by instance
+  std::map<std::uint64_t, HeardManifest> manifests_;  // by instance
   Clock::time_point part_begun_, synced_, writers_written_;
   std::thread thread_;
 };

@@ -7,6 +7,12 @@
 
 namespace weakgrid {
 
+/// The number whose low 32 bits are these, nearest to `last`.
+inline std::uint64_t unwrap(std::uint32_t low, std::uint64_t last) {
+  const auto difference = static_cast<std::int32_t>(low - static_cast<std::uint32_t>(last));
+  return last + static_cast<std::uint64_t>(static_cast<std::int64_t>(difference));
+}
+
 /// Fed with sequence numbers in the order of arrival; late ones fill the gap they had left.
 class SequenceMap {
  public:

@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <optional>
 #include <span>
+#include <string_view>
 
 #include "services/runtime/messages.hpp"
 
@@ -15,6 +16,9 @@ struct OfUnit {
   std::uint32_t unit = 0;
   Message message;
 };
+
+/// The topic of this type is one on which the last word stands; nothing for types that are not ours.
+std::optional<bool> is_state_type(std::string_view type);
 
 /// From a serialized payload with its encapsulation header; nothing for what no correct peer sends.
 /// For every message that travels: Measurement, Modulation, Request, DecisionMessage, Reference, Operation,

@@ -1,0 +1,211 @@
+// ControllerReplica: see the header.
+#include "services/recording/controller_replica.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <bit>
+
+namespace weakgrid {
+
+namespace {
+
+// How many newer answers an answer waits for its sample, reference and state, which come by other readers.
+constexpr std::size_t lag = 512;
+
+bool same_bits(double a, double b) {
+  return std::bit_cast<std::uint64_t>(a) == std::bit_cast<std::uint64_t>(b);
+}
+
+bool same_bits(const Modulation& a, const Modulation& b) {
+  return a.step == b.step && a.period_ns == b.period_ns && a.reference_id == b.reference_id &&
+         a.status == b.status && a.newest_reference_id == b.newest_reference_id &&
+         a.measurement_fingerprint == b.measurement_fingerprint && same_bits(a.mu.re, b.mu.re) &&
+         same_bits(a.mu.im, b.mu.im);
+}
+
+}  // namespace
+
+ControllerReplica::ControllerReplica(std::uint32_t unit, const std::string& writer, const UnitInputs& inputs,
+                                     DifferenceLog& differences, const Options& options)
+    : inputs_(inputs),
+      differences_(differences),
+      options_(options),
+      lost_because_("the recording begins in the midst, with no state before"),
+      findings_{.unit = unit, .writer = writer, .build = {}, .unchecked = {}} {}
+
+void ControllerReplica::configure(const ControllerConfiguration& configuration, const std::string& build) {
+  controller_.emplace(configuration);
+  findings_.build = build;
+}
+
+void ControllerReplica::see(std::uint64_t sequence, const Modulation& modulation) {
+  auto at = answers_.end();
+  while (at != answers_.begin() && std::prev(at)->sequence >= sequence) --at;
+  if (at != answers_.end() && at->sequence == sequence) return;
+  answers_.insert(at, {sequence, modulation});
+}
+
+void ControllerReplica::see(const ControllerState& state) {
+  states_.push_back(state);
+  if (states_.size() > lag) states_.pop_front();
+}
+
+void ControllerReplica::process(bool all) {
+  while (!answers_.empty() && (all || answers_.size() > lag)) {
+    process(answers_.front());
+    answers_.pop_front();
+  }
+}
+
+void ControllerReplica::lose(const std::string& why) {
+  is_synced_ = false;
+  lost_because_ = why;
+}
+
+void ControllerReplica::process(const Answer& answer) {
+  const Modulation& recorded = answer.modulation;
+  if (has_begun_ && answer.sequence <= last_sequence_) return;
+  if (!has_begun_) findings_.first_step = recorded.step;
+  findings_.last_step = recorded.step;
+  if (!controller_)
+    return add_unchecked(findings_.unchecked, recorded.step, "no manifest tells its settings");
+  // The very first answer of a process: it knew nothing before.
+  constexpr std::uint32_t first = started | bad_measurement | wrong_timing;
+  if (!has_begun_ && answer.sequence == 1 && (recorded.status & first) != 0 && options_.from_step == 0)
+    is_synced_ = true;
+  if (has_begun_ && is_synced_ && answer.sequence != last_sequence_ + 1 && !fill_gap(answer))
+    lose(fmt::format("{} answers before step {} are not in the recording",
+                     answer.sequence - last_sequence_ - 1, recorded.step));
+  has_begun_ = true;
+  last_sequence_ = answer.sequence;
+  last_step_ = recorded.step;
+
+  const Measurement* sample = sample_of(recorded);
+  if (is_synced_ && accept_references(recorded) && sample != nullptr) {
+    const Modulation computed = controller_->step(*sample);
+    compare(recorded, computed);
+    if (watch) watch(*sample, recorded, *controller_);
+  } else {
+    add_unchecked(findings_.unchecked, recorded.step, lost_because_);
+  }
+  meet_state(recorded);
+}
+
+// Answers that were given and not recorded: as many as samples in between, so each was answered once.
+bool ControllerReplica::fill_gap(const Answer& answer) {
+  const Modulation& next = answer.modulation;
+  const std::uint64_t missing = answer.sequence - last_sequence_ - 1;
+  if (!listens_ || next.step <= last_step_ || next.step - last_step_ - 1 != missing) return false;
+  if (next.newest_reference_id != controller_->state().references.newest_id) return false;
+  for (std::uint64_t step = last_step_ + 1; step < next.step; ++step) {
+    const Measurement* sample = inputs_.plants[plant_].find(step);
+    if (sample == nullptr) return false;
+    const Modulation computed = controller_->step(*sample);
+    if (watch) watch(*sample, computed, *controller_);
+  }
+  return true;
+}
+
+// The sample that was answered; what is recorded in its place and is not it is a difference.
+const Measurement* ControllerReplica::sample_of(const Modulation& recorded) {
+  const Measurement* other = nullptr;
+  for (std::size_t n = listens_ ? plant_ : 0; n < inputs_.plants.size(); ++n) {
+    const Measurement* sample = inputs_.plants[n].find(recorded.step);
+    if (sample == nullptr) continue;
+    if (recorded.measurement_fingerprint != 0 && fingerprint(*sample) != recorded.measurement_fingerprint) {
+      other = sample;
+      continue;
+    }
+    if (listens_ && n != plant_ && is_synced_) controller_->reset();  // another plant
+    plant_ = n;
+    listens_ = true;
+    return sample;
+  }
+  if (other != nullptr) {
+    differences_.add({.unit = findings_.unit,
+                      .step = recorded.step,
+                      .what = "sample",
+                      .which = {},
+                      .field = "measurement_fingerprint",
+                      .recorded = std::uint64_t{recorded.measurement_fingerprint},
+                      .computed = std::uint64_t{fingerprint(*other)}});
+    if (is_synced_)
+      lose(fmt::format("the sample {} recorded is not the one that was answered", recorded.step));
+  } else if (is_synced_) {
+    lose(fmt::format("sample {} is not in the recording", recorded.step));
+  }
+  return nullptr;
+}
+
+bool ControllerReplica::accept_references(const Modulation& recorded) {
+  const std::uint32_t newest = recorded.newest_reference_id;
+  if (newest <= controller_->state().references.newest_id) return true;
+  const auto reference = inputs_.references.find(newest);
+  if (reference == inputs_.references.end()) {
+    lose(fmt::format("reference {} is not in the recording", newest));
+    return false;
+  }
+  controller_->accept(reference->second);
+  return true;
+}
+
+void ControllerReplica::compare(const Modulation& recorded, const Modulation& computed) {
+  ++findings_.compared;
+  if ((recorded.status & saturated) != 0) ++findings_.saturated_recorded;
+  if ((computed.status & saturated) != 0) ++findings_.saturated_computed;
+  if (same_bits(recorded, computed)) {
+    ++findings_.identical;
+    return;
+  }
+  const double distance = abs(recorded.mu - computed.mu);
+  findings_.mu_distance_squares += distance * distance;
+  if (distance > findings_.mu_distance_max) {
+    findings_.mu_distance_max = distance;
+    findings_.mu_distance_max_step = recorded.step;
+  }
+  if (options_.other_settings && differences_.count() > 0) return;
+  differences_.add_first({.unit = findings_.unit,
+                          .step = recorded.step,
+                          .what = "modulation",
+                          .which = {},
+                          .field = {},
+                          .recorded = {},
+                          .computed = {}},
+                         fields_of(findings_.unit, recorded), fields_of(findings_.unit, computed));
+}
+
+// A state recorded of this step: compared, or gone on from.
+void ControllerReplica::meet_state(const Modulation& answer) {
+  if (states_.empty()) return;
+  const std::uint64_t step = answer.step;
+  const auto at = std::find_if(states_.begin(), states_.end(), [&](const ControllerState& state) {
+    return state.last.step == step && state.last.measurement_fingerprint == answer.measurement_fingerprint;
+  });
+  if (at == states_.end()) return;
+  const ControllerState recorded = *at;
+  states_.erase(states_.begin(), std::next(at));
+  if (!controller_ || step < options_.from_step) return;
+  if (!is_synced_) {
+    controller_->restore(recorded);
+    is_synced_ = true;
+    ++findings_.resumed;
+    return;
+  }
+  if (options_.other_settings) return;
+  ++findings_.states_compared;
+  const WireFields computed = fields_of(findings_.unit, controller_->state());
+  const WireFields as_recorded = fields_of(findings_.unit, recorded);
+  const std::uint64_t before = differences_.count();
+  differences_.add_first({.unit = findings_.unit,
+                          .step = step,
+                          .what = "state",
+                          .which = {},
+                          .field = {},
+                          .recorded = {},
+                          .computed = {}},
+                         as_recorded, computed);
+  if (differences_.count() == before) ++findings_.states_identical;
+}
+
+}  // namespace weakgrid

@@ -1,0 +1,70 @@
+// One recorded gateway process, re-executed: its requests into the pure arbiter, every bit of its decisions
+// and references compared. All at the end: decisions are few.
+#pragma once
+
+#include <map>
+#include <optional>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "gateway/arbiter.hpp"
+#include "services/recording/differences.hpp"
+#include "services/recording/unit_inputs.hpp"
+
+namespace weakgrid {
+
+struct GatewayFindings {
+  std::uint32_t unit = 0;
+  std::string participant, build;
+  std::uint64_t decisions = 0, decisions_identical = 0;
+  std::uint64_t references = 0, references_identical = 0;
+  std::uint64_t accepted_recorded = 0, accepted_computed = 0;
+  std::vector<Unchecked> unchecked;
+};
+
+class GatewayReplica {
+ public:
+  GatewayReplica(std::uint32_t unit, const std::string& participant) : unit_(unit) {
+    findings_.unit = unit;
+    findings_.participant = participant;
+  }
+
+  void configure(const Arbiter::Configuration& configuration, const std::string& build);
+  bool is_configured() const { return arbiter_.has_value(); }
+
+  void see(std::uint64_t sequence, const DecisionMessage& decision) {
+    decisions_.emplace(sequence, decision);
+  }
+  void see(const Reference& reference) { references_.emplace(reference.id, reference); }
+
+  /// Requests: every one heard in that unit, by client and id.
+  using Requests = std::multimap<std::pair<std::uint64_t, std::uint32_t>, Request>;
+  void process(const UnitInputs& inputs, const Requests& requests, DifferenceLog& differences);
+
+  const GatewayFindings& findings() const { return findings_; }
+
+ private:
+  void catch_up(std::uint32_t reference_id);
+  void issue_unasked(std::uint32_t up_to, std::uint64_t step);
+  void decide(const DecisionMessage& recorded);
+  const Request* request_of(const Decision& recorded);
+  void compare(const Reference& recorded, const Reference& computed, std::uint64_t step);
+  bool is_blocked_at(const Decision& decision) const;
+
+  const std::uint32_t unit_;
+  std::optional<Arbiter> arbiter_;
+  std::optional<Timing> timing_;
+  std::map<std::uint64_t, DecisionMessage> decisions_;
+  std::map<std::uint32_t, Reference> references_;  // as recorded
+  std::set<std::pair<std::uint64_t, std::uint32_t>> decided_;
+  std::set<std::uint64_t> clients_;
+  std::uint32_t newest_ = 0;  // reference known to the arbiter
+  bool is_late_ = false;      // decisions before the first are not recorded
+  const UnitInputs* inputs_ = nullptr;
+  const Requests* requests_ = nullptr;
+  DifferenceLog* differences_ = nullptr;
+  GatewayFindings findings_;
+};
+
+}  // namespace weakgrid
