@@ -126,7 +126,7 @@ class Conductor {
                   .settings = to_toml(settings_),
                   .constants = {},
                   .digest = {}};
-    what.digest = digest_of(what);
+    what.digest = digest_of(settings_.unit.number, what);
     if (!manifest.write(what)) throw BusError("DDS: the manifest cannot be written");
     wait("the recorder to hear everybody", [this](Patience p) {
       return client_.wait_for(

@@ -78,7 +78,6 @@ void print(const Verdict& v) {
   for (std::size_t n = 0; n < kept.size() && n < printed_max; ++n) fmt::print("{}\n", describe(kept[n]));
   if (v.findings.differences.count() > printed_max && !v.is_what_if)
     fmt::print("… and {} more differences\n", v.findings.differences.count() - printed_max);
-  if (v.findings.undecodable > 0) fmt::print("{} messages do not decode\n", v.findings.undecodable);
   fmt::print("{}", v.findings.file_faults);
   fmt::print("{:.2f} s recorded, re-executed in {:.3f} s: {:.0f} × real time\n", v.recorded_s, v.wall_s,
              v.speed());
@@ -106,7 +105,6 @@ json to_json(const Verdict& v) {
            {"compared", v.findings.compared()},
            {"unchecked", v.findings.unchecked()},
            {"differences", v.findings.differences.count()},
-           {"undecodable", v.findings.undecodable},
            {"manifests", v.findings.manifests},
            {"file_faults", v.findings.file_faults},
            {"recorded_s", v.recorded_s},

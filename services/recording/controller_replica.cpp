@@ -31,7 +31,7 @@ ControllerReplica::ControllerReplica(std::uint32_t unit, const std::string& writ
     : inputs_(inputs),
       differences_(differences),
       options_(options),
-      lost_because_("the recording begins in the midst, with no state before"),
+      lost_because_("the answers before are not in the recording, nor a state"),
       findings_{.unit = unit, .writer = writer, .build = {}, .unchecked = {}} {}
 
 void ControllerReplica::configure(const ControllerConfiguration& configuration, const std::string& build) {
@@ -110,7 +110,10 @@ bool ControllerReplica::fill_gap(const Answer& answer) {
 // The sample that was answered; what is recorded in its place and is not it is a difference.
 const Measurement* ControllerReplica::sample_of(const Modulation& recorded) {
   const Measurement* other = nullptr;
-  for (std::size_t n = listens_ ? plant_ : 0; n < inputs_.plants.size(); ++n) {
+  const char* field = "measurement_fingerprint";
+  // A step back is another plant, and its first samples may be those of the first one to the bit.
+  const std::size_t nearest = !listens_ ? 0 : recorded.step < last_sample_step_ ? plant_ + 1 : plant_;
+  for (std::size_t n = nearest; n < inputs_.plants.size(); ++n) {
     const Measurement* sample = inputs_.plants[n].find(recorded.step);
     if (sample == nullptr) continue;
     if (recorded.measurement_fingerprint != 0 && fingerprint(*sample) != recorded.measurement_fingerprint) {
@@ -120,14 +123,28 @@ const Measurement* ControllerReplica::sample_of(const Modulation& recorded) {
     if (listens_ && n != plant_ && is_synced_) controller_->reset();  // another plant
     plant_ = n;
     listens_ = true;
+    last_sample_step_ = recorded.step;
     return sample;
+  }
+  // Or the answer names the wrong step: the sample that was due has that fingerprint.
+  if (other == nullptr && is_synced_ && listens_ && recorded.measurement_fingerprint != 0) {
+    const PlantStream& plant = inputs_.plants[plant_];
+    const Measurement* due = plant.find(last_sample_step_ + 1);
+    if (due != nullptr && fingerprint(*due) == recorded.measurement_fingerprint) other = due;
+    // Or the sample does: it is the one but for its step.
+    for (const Measurement& sample : plant.samples) {
+      Measurement named = sample;
+      named.step = recorded.step;
+      if (fingerprint(named) == recorded.measurement_fingerprint) other = &sample;
+    }
+    field = "step";
   }
   if (other != nullptr) {
     differences_.add({.unit = findings_.unit,
                       .step = recorded.step,
                       .what = "sample",
                       .which = {},
-                      .field = "measurement_fingerprint",
+                      .field = field,
                       .recorded = std::uint64_t{recorded.measurement_fingerprint},
                       .computed = std::uint64_t{fingerprint(*other)}});
     if (is_synced_)

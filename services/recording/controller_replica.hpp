@@ -75,7 +75,7 @@ class ControllerReplica {
   bool is_synced_ = false;
   bool has_begun_ = false;
   std::string lost_because_;
-  std::uint64_t last_sequence_ = 0, last_step_ = 0;
+  std::uint64_t last_sequence_ = 0, last_step_ = 0, last_sample_step_ = 0;
   ControllerFindings findings_;
 };
 

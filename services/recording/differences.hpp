@@ -2,6 +2,7 @@
 // compared.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <string>
 #include <utility>
@@ -14,20 +15,27 @@ namespace weakgrid {
 struct Difference {
   std::uint32_t unit = 0;
   std::uint64_t step = 0;
-  std::string what;   ///< "modulation", "decision", "reference", "state", "sample", "request", "manifest"
+  std::string
+      what;  ///< "modulation", "decision", "reference", "state", "sample", "request", "manifest", "message"
   std::string which;  ///< of several at that step: a client and id, a service
   std::string field;
   WireField::Value recorded, computed;
 };
 
-/// Keeps the first of each unit; counts all.
+/// Counts all, keeps the first of each kind in the order of their steps.
 class DifferenceLog {
  public:
-  static constexpr std::size_t kept_max = 100;
+  static constexpr std::size_t kept_max = 20;
 
   void add(Difference difference) {
     ++count_;
-    if (kept_.size() < kept_max) kept_.push_back(std::move(difference));
+    const auto same_kind = std::count_if(kept_.begin(), kept_.end(),
+                                         [&](const Difference& d) { return d.what == difference.what; });
+    if (static_cast<std::size_t>(same_kind) >= kept_max) return;
+    const auto after =
+        std::upper_bound(kept_.begin(), kept_.end(), difference,
+                         [](const Difference& a, const Difference& b) { return a.step < b.step; });
+    kept_.insert(after, std::move(difference));
   }
   /// Of two lists of the same fields the first that differs.
   void add_first(Difference difference, const WireFields& recorded, const WireFields& computed) {

@@ -3,11 +3,19 @@
 
 #include <fmt/format.h>
 
+#include <bit>
+
 #include "services/decision_text.hpp"
 
 namespace weakgrid {
 
 namespace {
+
+bool same_bits(const Reference& a, const Reference& b) {
+  const auto bits = [](double x) { return std::bit_cast<std::uint64_t>(x); };
+  return a.id == b.id && bits(a.p) == bits(b.p) && bits(a.q) == bits(b.q) && bits(a.v_c) == bits(b.v_c) &&
+         a.effective_step == b.effective_step && a.ramp_steps == b.ramp_steps;
+}
 
 std::string name_of(std::uint64_t client, std::uint32_t id) {
   return fmt::format("client {:x} request {}", client, id);
@@ -21,61 +29,58 @@ void GatewayReplica::configure(const Arbiter::Configuration& configuration, cons
   findings_.build = build;
 }
 
-void GatewayReplica::process(const UnitInputs& inputs, const Requests& requests, DifferenceLog& differences) {
+void GatewayReplica::process(const UnitInputs& inputs, const Requests& requests, const Strays& strays,
+                             DifferenceLog& differences) {
   inputs_ = &inputs;
   requests_ = &requests;
+  strays_ = &strays;
   differences_ = &differences;
-  is_late_ = !decisions_.empty() && decisions_.begin()->first != 1;
+  is_late_ = decisions_.empty() || decisions_.begin()->first != 1;
   std::uint64_t last_step = 0;
-  for (const auto& [sequence, decision] : decisions_) {
-    last_step = decision.decision.decided_step;
+  for (const auto& [sequence, taken] : decisions_) {
+    last_step = taken.message.decision.decided_step;
+    plants_then_ = taken.plants;
     if (arbiter_)
-      decide(decision);
+      decide(taken.message);
     else
       add_unchecked(findings_.unchecked, last_step, "no manifest tells its settings");
   }
   if (arbiter_ && !references_.empty()) issue_unasked(references_.rbegin()->first, last_step);
 }
 
-// References that nobody asked for: the unit has tripped or restarted.
+// References that nobody asked for: the unit has tripped or restarted. Before the first decision of a gateway
+// whose beginning is not recorded nobody knows who asked: what stood then is taken as it is.
 void GatewayReplica::issue_unasked(std::uint32_t up_to, std::uint64_t step) {
   for (auto next = references_.upper_bound(newest_); next != references_.end() && next->first <= up_to;
        next = references_.upper_bound(newest_)) {
-    if (next->first != newest_ + 1) {
-      // Before it another gateway's have stood, or ones that are not in the recording.
-      if (newest_ == 0 && is_late_)
-        arbiter_->adopt(next->second);
-      else
-        arbiter_->note_foreign_reference(next->first - 1);
-      newest_ = is_late_ && newest_ == 0 ? next->first : next->first - 1;
-      continue;
+    if (is_late_ && clients_.empty()) {
+      arbiter_->adopt(next->second);
+    } else {
+      if (next->first != newest_ + 1) arbiter_->note_foreign_reference(next->first - 1);
+      compare(next->second, arbiter_->block(), step);
     }
-    compare(next->second, arbiter_->block(), step);
     newest_ = next->first;
   }
 }
 
+// References of others, or of this one before the recording.
 void GatewayReplica::catch_up(std::uint32_t reference_id) {
   if (reference_id <= newest_) return;
-  if (newest_ == 0 && is_late_) {
-    // Late to come: what stands is the state topic's last word.
-    const auto standing = inputs_->references.find(reference_id);
-    if (standing != inputs_->references.end()) {
-      arbiter_->adopt(standing->second);
-      newest_ = reference_id;
-      return;
-    }
-  }
-  arbiter_->note_foreign_reference(reference_id);
+  const auto standing = inputs_->references.find(reference_id);
+  if (is_late_ && clients_.empty() && standing != inputs_->references.end())
+    arbiter_->adopt(standing->second);
+  else
+    arbiter_->note_foreign_reference(reference_id);
   newest_ = reference_id;
 }
 
 bool GatewayReplica::is_blocked_at(const Decision& decision) const {
   // The plant of that time is the last one that had come as far; a decision before any sample finds none.
-  for (auto plant = inputs_->plants.rbegin(); plant != inputs_->plants.rend(); ++plant) {
-    if (plant->blocked.empty() || plant->blocked.front().first > decision.decided_step) continue;
+  for (std::size_t n = plants_then_; n-- > 0;) {
+    const auto& changes = inputs_->plants[n].blocked;
+    if (changes.empty() || changes.front().first > decision.decided_step) continue;
     bool blocked = false;
-    for (const auto& [step, is] : plant->blocked)
+    for (const auto& [step, is] : changes)
       if (step <= decision.decided_step) blocked = is;
     return blocked;
   }
@@ -88,6 +93,16 @@ const Request* GatewayReplica::request_of(const Decision& recorded) {
   for (auto request = from; request != to; ++request) {
     if (fingerprint(request->second) == recorded.request_fingerprint) return &request->second;
     other = &request->second;
+  }
+  // One that differs in nothing but its name is the one.
+  for (auto stray = strays_->requests.begin(); other == nullptr && stray != strays_->requests.end();
+       ++stray) {
+    Request named = stray->second;
+    named.client = recorded.client;
+    if (fingerprint(named) == recorded.request_fingerprint) other = &stray->second;
+    named = stray->second;
+    named.id = recorded.id;
+    if (fingerprint(named) == recorded.request_fingerprint) other = &stray->second;
   }
   if (other != nullptr)
     differences_->add({.unit = unit_,
@@ -139,7 +154,37 @@ void GatewayReplica::decide(const DecisionMessage& message) {
   if (!computed.reference || computed.repeated) return;
   newest_ = computed.reference->id;
   const auto issued = references_.find(newest_);
-  if (issued != references_.end()) compare(issued->second, *computed.reference, recorded.decided_step);
+  if (issued != references_.end())
+    compare(issued->second, *computed.reference, recorded.decided_step);
+  else
+    look_for(*computed.reference, recorded.decided_step);
+}
+
+// An issued reference that is not where it belongs: under another name, of another unit, or lost.
+void GatewayReplica::look_for(const Reference& issued, std::uint64_t step) {
+  const auto is_it_but_for_the_id = [&](const Reference& r) {
+    Reference named = r;
+    named.id = issued.id;
+    return same_bits(named, issued);
+  };
+  const auto add = [&](const char* field, std::uint64_t recorded, std::uint64_t computed) {
+    differences_->add({.unit = unit_,
+                       .step = step,
+                       .what = "reference",
+                       .which = fmt::format("id {}", issued.id),
+                       .field = field,
+                       .recorded = recorded,
+                       .computed = computed});
+  };
+  for (auto stray = references_.begin(); stray != references_.end(); ++stray)
+    if (is_it_but_for_the_id(stray->second)) {
+      add("id", stray->first, issued.id);
+      references_.erase(stray);
+      return;
+    }
+  for (const Reference& stray : strays_->references)
+    if (same_bits(stray, issued)) return add("unit", 0, unit_);
+  add_unchecked(findings_.unchecked, step, fmt::format("reference {} is not in the recording", issued.id));
 }
 
 void GatewayReplica::compare(const Reference& recorded, const Reference& computed, std::uint64_t step) {

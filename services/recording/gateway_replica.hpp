@@ -33,21 +33,33 @@ class GatewayReplica {
   void configure(const Arbiter::Configuration& configuration, const std::string& build);
   bool is_configured() const { return arbiter_.has_value(); }
 
-  void see(std::uint64_t sequence, const DecisionMessage& decision) {
-    decisions_.emplace(sequence, decision);
+  /// plants: how many of the unit had been heard by then.
+  void see(std::uint64_t sequence, const DecisionMessage& decision, std::size_t plants) {
+    decisions_.emplace(sequence, Taken{decision, plants});
   }
   void see(const Reference& reference) { references_.emplace(reference.id, reference); }
 
   /// Requests: every one heard in that unit, by client and id.
   using Requests = std::multimap<std::pair<std::uint64_t, std::uint32_t>, Request>;
-  void process(const UnitInputs& inputs, const Requests& requests, DifferenceLog& differences);
+  /// What all units hold, should something of this one have lost its way.
+  struct Strays {
+    Requests requests;
+    std::vector<Reference> references;  // of other units
+  };
+  void process(const UnitInputs& inputs, const Requests& requests, const Strays& strays,
+               DifferenceLog& differences);
 
   const GatewayFindings& findings() const { return findings_; }
 
  private:
+  struct Taken {
+    DecisionMessage message;
+    std::size_t plants;
+  };
   void catch_up(std::uint32_t reference_id);
   void issue_unasked(std::uint32_t up_to, std::uint64_t step);
   void decide(const DecisionMessage& recorded);
+  void look_for(const Reference& issued, std::uint64_t step);
   const Request* request_of(const Decision& recorded);
   void compare(const Reference& recorded, const Reference& computed, std::uint64_t step);
   bool is_blocked_at(const Decision& decision) const;
@@ -55,14 +67,16 @@ class GatewayReplica {
   const std::uint32_t unit_;
   std::optional<Arbiter> arbiter_;
   std::optional<Timing> timing_;
-  std::map<std::uint64_t, DecisionMessage> decisions_;
+  std::map<std::uint64_t, Taken> decisions_;
+  std::size_t plants_then_ = 0;
   std::map<std::uint32_t, Reference> references_;  // as recorded
   std::set<std::pair<std::uint64_t, std::uint32_t>> decided_;
   std::set<std::uint64_t> clients_;
   std::uint32_t newest_ = 0;  // reference known to the arbiter
-  bool is_late_ = false;      // decisions before the first are not recorded
+  bool is_late_ = false;      // its first decision is not recorded
   const UnitInputs* inputs_ = nullptr;
   const Requests* requests_ = nullptr;
+  const Strays* strays_ = nullptr;
   DifferenceLog* differences_ = nullptr;
   GatewayFindings findings_;
 };

@@ -1,6 +1,7 @@
 // Reexecution: see the header.
 #include "services/recording/reexecution.hpp"
 
+#include <algorithm>
 #include <charconv>
 #include <nlohmann/json.hpp>
 
@@ -54,18 +55,20 @@ void Reexecution::see(const RecordedMessage& message) {
 template <class Message>
 void Reexecution::see_as(const RecordedMessage& message) {
   const auto decoded = from_payload<Message>(message.payload);
-  if (!decoded) {
-    ++findings_.undecodable;
-    return;
-  }
+  if (!decoded) return refuse(message);
   const std::uint32_t number = decoded->unit;
   const Message& content = decoded->message;
   if constexpr (std::is_same_v<Message, Manifest>) {
     see(*message.writer, number, content);
   } else {
     Unit& unit = units_[number];
+    if (unit.first_type.empty()) {
+      unit.first_type = message.writer->type;
+      unit.first_step = step_of(message);
+    }
     if constexpr (std::is_same_v<Message, Measurement>) {
       unit.inputs.see(message.writer->guid, content);
+      last_steps_[message.writer->index] = content.step;
     } else if constexpr (std::is_same_v<Message, Request>) {
       unit.requests.emplace(std::pair{content.client, content.id}, content);
     } else if constexpr (std::is_same_v<Message, Modulation>) {
@@ -78,7 +81,7 @@ void Reexecution::see_as(const RecordedMessage& message) {
         if (at->second->findings().writer.rfind(message.writer->participant() + "|", 0) == 0)
           return at->second->see(content);
     } else if constexpr (std::is_same_v<Message, DecisionMessage>) {
-      gateway_of(unit, number, *message.writer).see(message.sequence, content);
+      gateway_of(unit, number, *message.writer).see(message.sequence, content, unit.inputs.plants.size());
     } else if constexpr (std::is_same_v<Message, Reference>) {
       unit.inputs.references[content.id] = content;
       gateway_of(unit, number, *message.writer).see(content);
@@ -141,7 +144,7 @@ void Reexecution::check_manifest(std::uint32_t unit, const Manifest& manifest) {
                                .recorded = std::move(recorded),
                                .computed = std::move(computed)});
   };
-  if (const std::string digest = digest_of(manifest); digest != manifest.digest)
+  if (const std::string digest = digest_of(unit, manifest); digest != manifest.digest)
     add("digest", manifest.digest, digest);
   if (manifest.service != "controller") return;
   std::vector<Constant> derived;
@@ -156,6 +159,46 @@ void Reexecution::check_manifest(std::uint32_t unit, const Manifest& manifest) {
     const WireField::Value recorded =
         is_there ? WireField::Value(manifest.constants[n].value) : std::string("missing");
     if (!is_same(recorded, derived[n].value)) add("constants." + derived[n].name, recorded, derived[n].value);
+  }
+}
+
+// The step that a message names; of a sample that cannot be believed the one after its writer's last.
+std::uint64_t Reexecution::step_of(const RecordedMessage& message) {
+  const auto last = last_steps_.find(message.writer->index);
+  if (last != last_steps_.end()) return last->second + 1;
+  const auto fields = fields_of_payload(message.writer->type, message.payload);
+  if (!fields) return 0;
+  for (const WireField& field : *fields)
+    for (const char* name : {"step", "decided_step", "effective_step"})
+      if (field.name == std::string_view(name)) return std::get<std::uint64_t>(field.value);
+  return 0;
+}
+
+// No correct peer has sent this.
+void Reexecution::refuse(const RecordedMessage& message) {
+  findings_.differences.add({.unit = 0,
+                             .step = step_of(message),
+                             .what = "message",
+                             .which = message.writer->type,
+                             .field = "payload",
+                             .recorded = std::uint64_t{message.payload.size()},
+                             .computed = std::string("bytes of that type")});
+}
+
+// Where manifests tell who is there, messages of a unit that none names are of no unit.
+void Reexecution::check_units() {
+  if (processes_.empty()) return;
+  for (const auto& [number, unit] : units_) {
+    const bool is_known = std::any_of(processes_.begin(), processes_.end(),
+                                      [n = number](const Process& p) { return p.unit == n; });
+    if (is_known) continue;
+    findings_.differences.add({.unit = number,
+                               .step = unit.first_step,
+                               .what = "message",
+                               .which = unit.first_type,
+                               .field = "unit",
+                               .recorded = std::uint64_t{number},
+                               .computed = std::string("a unit that a manifest names")});
   }
 }
 
@@ -206,13 +249,20 @@ GatewayReplica& Reexecution::gateway_of(Unit& unit, std::uint32_t number, const 
 }
 
 void Reexecution::finish() {
+  check_units();
+  GatewayReplica::Strays strays;
+  for (const auto& [number, unit] : units_) {
+    strays.requests.insert(unit.requests.begin(), unit.requests.end());
+    if (unit.gateways.size() == 1 && !unit.gateways.begin()->second.is_configured())
+      for (const auto& [id, reference] : unit.inputs.references) strays.references.push_back(reference);
+  }
   for (auto& [number, unit] : units_) {
     for (auto& [index, replica] : unit.controllers) {
       replica->process(true);
       findings_.controllers.push_back(replica->findings());
     }
     for (auto& [participant, gateway] : unit.gateways) {
-      gateway.process(unit.inputs, unit.requests, findings_.differences);
+      gateway.process(unit.inputs, unit.requests, strays, findings_.differences);
       findings_.gateways.push_back(gateway.findings());
     }
   }

@@ -27,7 +27,6 @@ struct ReexecutionFindings {
   std::vector<GatewayFindings> gateways;
   DifferenceLog differences;
   std::uint64_t manifests = 0;
-  std::uint64_t undecodable = 0;  ///< messages of ours whose bytes are not of their type
   std::string file_faults;
 
   std::uint64_t compared() const;
@@ -55,6 +54,8 @@ class Reexecution {
     GatewayReplica::Requests requests;
     std::map<std::size_t, std::unique_ptr<ControllerReplica>> controllers;  // by index of the writer
     std::map<std::string, GatewayReplica> gateways;                         // by participant
+    std::uint64_t first_step = 0;
+    std::string first_type;
   };
 
   void see(const RecordedMessage& message);
@@ -63,6 +64,9 @@ class Reexecution {
   void see(const RecordedWriter& writer, std::uint32_t unit, const Manifest& manifest);
   void see(const mcap::Metadata& metadata);
   void check_manifest(std::uint32_t unit, const Manifest& manifest);
+  void refuse(const RecordedMessage& message);
+  void check_units();
+  std::uint64_t step_of(const RecordedMessage& message);
   ControllerReplica& controller_of(Unit& unit, std::uint32_t number, const RecordedWriter& writer);
   GatewayReplica& gateway_of(Unit& unit, std::uint32_t number, const RecordedWriter& writer);
   Process* process_of(std::uint32_t unit, const std::string& service, const std::string& participant);
@@ -72,6 +76,7 @@ class Reexecution {
   std::map<std::uint32_t, Unit> units_;
   std::map<std::pair<std::uint32_t, std::uint64_t>, bool> manifests_seen_;  // (unit, instance)
   std::vector<Process> processes_;
+  std::map<std::size_t, std::uint64_t> last_steps_;  // by index of the writer
   ReexecutionFindings findings_;
 };
 

@@ -22,13 +22,14 @@ std::int64_t wall_time_ns() {
 
 std::string build_text() { return "weakgrid " WEAKGRID_VERSION ", " WEAKGRID_COMPILER; }
 
-std::string digest_of(const Manifest& manifest) {
+std::string digest_of(std::uint32_t unit, const Manifest& manifest) {
   Sha256 sum;
   const auto add_number = [&sum](const auto& number) { sum.add(std::as_bytes(std::span{&number, 1})); };
   const auto add_text = [&](const std::string& text) {
     add_number(std::uint64_t{text.size()});
     sum.add(std::as_bytes(std::span{text}));
   };
+  add_number(unit);
   add_text(manifest.service);
   add_number(manifest.instance);
   add_text(manifest.build);
@@ -52,7 +53,7 @@ Announcer::Announcer(Bus& bus, const Settings& settings, const std::string& serv
                     .settings = to_toml(settings),
                     .constants = std::move(constants),
                     .digest = {}};
-  manifest.digest = digest_of(manifest);
+  manifest.digest = digest_of(settings.unit.number, manifest);
   if (!manifest_.write(manifest)) throw BusError("DDS: the manifest cannot be written");
 }
 

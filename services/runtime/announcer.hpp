@@ -18,8 +18,8 @@ std::uint64_t random_identity();
 std::int64_t wall_time_ns();
 /// Version and compiler of this program.
 std::string build_text();
-/// SHA-256, hexadecimal, over all fields but the digest.
-std::string digest_of(const Manifest& manifest);
+/// SHA-256, hexadecimal, over all fields but the digest, the unit's number included.
+std::string digest_of(std::uint32_t unit, const Manifest& manifest);
 
 class Announcer {
  public:
