@@ -3,6 +3,8 @@
 
 #include <random>
 
+#include "services/runtime/wire.hpp"
+
 namespace weakgrid {
 
 std::uint64_t random_identity() {
@@ -19,6 +21,10 @@ std::int64_t wall_time_ns() {
 }
 
 std::string build_text() { return "weakgrid " WEAKGRID_VERSION ", " WEAKGRID_COMPILER; }
+
+bool is_announced(const std::string& topic) {
+  return topic == Topic<Health>::name || topic == Topic<Manifest>::name;
+}
 
 Announcer::Announcer(Bus& bus, const Settings& settings, const std::string& service,
                      std::vector<Constant> constants)

@@ -19,6 +19,9 @@ std::int64_t wall_time_ns();
 /// Version and compiler of this program.
 std::string build_text();
 
+/// A topic that an Announcer writes, and so every program.
+bool is_announced(const std::string& topic);
+
 class Announcer {
  public:
   Announcer(Bus& bus, const Settings& settings, const std::string& service, std::vector<Constant> constants);

@@ -2,7 +2,6 @@
 #include "services/runtime/tap.hpp"
 
 #include <fastdds/rtps/transport/UDPv4TransportDescriptor.h>
-#include <fnmatch.h>
 #include <spdlog/spdlog.h>
 
 #include <fastdds/rtps/writer/WriterDiscoveryInfo.h>
@@ -24,6 +23,7 @@
 #include <sstream>
 #include <thread>
 
+#include "services/recording/topic_patterns.hpp"
 #include "services/runtime/announcer.hpp"
 #include "services/runtime/wire.hpp"
 
@@ -95,12 +95,6 @@ std::string qos_text(const eprosima::fastdds::dds::WriterQos& qos) {
       {"lifespan_s", seconds(qos.m_lifespan.duration)},
       {"representations", representations}}
       .dump();
-}
-
-bool matches_any(const std::string& topic, const std::vector<std::string>& patterns) {
-  return std::any_of(patterns.begin(), patterns.end(), [&](const std::string& pattern) {
-    return fnmatch(pattern.c_str(), topic.c_str(), 0) == 0;
-  });
 }
 
 bool is_internal(const std::string& topic) { return topic.rfind("_fastdds_statistics", 0) == 0; }
