@@ -23,6 +23,12 @@ struct SourceWriter {
   std::string qos_full;  ///< JSON: what discovery says beyond that
 };
 
+/// Somebody who writes now.
+struct LiveWriter {
+  std::string guid;  ///< "participant|entity"
+  std::string topic;
+};
+
 /// One sample as the middleware brought it. A view: it holds as long as whoever hands it out says.
 struct RawSample {
   std::uint32_t writer = 0;    ///< index, counted from 0 in the order of discovery

@@ -4,6 +4,7 @@
 #include <random>
 
 #include "services/runtime/sha256.hpp"
+#include "services/runtime/wire.hpp"
 
 namespace weakgrid {
 
@@ -39,6 +40,10 @@ std::string digest_of(std::uint32_t unit, const Manifest& manifest) {
     add_number(constant.value);
   }
   return sum.hex();
+}
+
+bool is_announced(const std::string& topic) {
+  return topic == Topic<Health>::name || topic == Topic<Manifest>::name;
 }
 
 Announcer::Announcer(Bus& bus, const Settings& settings, const std::string& service,

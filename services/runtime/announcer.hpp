@@ -21,6 +21,9 @@ std::string build_text();
 /// SHA-256, hexadecimal, over all fields but the digest, the unit's number included.
 std::string digest_of(std::uint32_t unit, const Manifest& manifest);
 
+/// A topic that an Announcer writes, and so every program.
+bool is_announced(const std::string& topic);
+
 class Announcer {
  public:
   Announcer(Bus& bus, const Settings& settings, const std::string& service, std::vector<Constant> constants);

@@ -242,15 +242,7 @@ std::uint64_t Reader<Message>::malformed() const noexcept {
 #define WEAKGRID_INSTANTIATE(Message) \
   template class Writer<Message>;     \
   template class Reader<Message>;
-WEAKGRID_INSTANTIATE(Measurement)
-WEAKGRID_INSTANTIATE(Modulation)
-WEAKGRID_INSTANTIATE(Request)
-WEAKGRID_INSTANTIATE(DecisionMessage)
-WEAKGRID_INSTANTIATE(Reference)
-WEAKGRID_INSTANTIATE(Operation)
-WEAKGRID_INSTANTIATE(ControllerState)
-WEAKGRID_INSTANTIATE(Health)
-WEAKGRID_INSTANTIATE(Manifest)
+WEAKGRID_MESSAGES(WEAKGRID_INSTANTIATE)
 #undef WEAKGRID_INSTANTIATE
 
 }  // namespace weakgrid

@@ -1,10 +1,30 @@
 // Payload: see the header.
 #include "services/runtime/payload.hpp"
 
+#include <memory>
+
 #include "services/runtime/payload_cdr.hpp"
 #include "services/runtime/wire.hpp"
 
 namespace weakgrid {
+
+namespace {
+
+template <class Message>
+KeyOf key_of() {
+  // The generated type keeps a buffer for the key between calls.
+  return [type = std::make_shared<typename Topic<Message>::Type>(),
+          wire = std::make_shared<typename Topic<Message>::Wire>()](
+             std::span<const std::byte> payload) -> std::optional<KeyHash> {
+    eprosima::fastrtps::rtps::InstanceHandle_t handle;
+    if (!deserialize(payload, *wire) || !type->getKey(wire.get(), &handle, false)) return std::nullopt;
+    KeyHash key;
+    for (std::size_t n = 0; n < key.size(); ++n) key[n] = handle.value[n];
+    return key;
+  };
+}
+
+}  // namespace
 
 template <class Message>
 std::optional<OfUnit<Message>> from_payload(std::span<const std::byte> payload) {
@@ -16,34 +36,24 @@ std::optional<OfUnit<Message>> from_payload(std::span<const std::byte> payload) 
 }
 
 std::optional<bool> is_state_type(std::string_view type) {
-  std::optional<bool> is_state;
-  const auto look_at = [&]<class Message>(const Message*) {
-    static const std::string name = typename Topic<Message>::Type().getName();
-    if (type == name) is_state = Topic<Message>::qos == QosClass::state;
-  };
-  look_at(static_cast<const Measurement*>(nullptr));
-  look_at(static_cast<const Modulation*>(nullptr));
-  look_at(static_cast<const Request*>(nullptr));
-  look_at(static_cast<const DecisionMessage*>(nullptr));
-  look_at(static_cast<const Reference*>(nullptr));
-  look_at(static_cast<const Operation*>(nullptr));
-  look_at(static_cast<const ControllerState*>(nullptr));
-  look_at(static_cast<const Health*>(nullptr));
-  look_at(static_cast<const Manifest*>(nullptr));
-  return is_state;
+#define WEAKGRID_TRY(Message) \
+  if (type == typename Topic<Message>::Type().getName()) return Topic<Message>::qos == QosClass::state;
+  WEAKGRID_MESSAGES(WEAKGRID_TRY)
+#undef WEAKGRID_TRY
+  return std::nullopt;
+}
+
+KeyOf key_of_type(const std::string& type) {
+#define WEAKGRID_TRY(Message) \
+  if (type == typename Topic<Message>::Type().getName()) return key_of<Message>();
+  WEAKGRID_MESSAGES(WEAKGRID_TRY)
+#undef WEAKGRID_TRY
+  return {};
 }
 
 #define WEAKGRID_INSTANTIATE(Message) \
   template std::optional<OfUnit<Message>> from_payload<Message>(std::span<const std::byte>);
-WEAKGRID_INSTANTIATE(Measurement)
-WEAKGRID_INSTANTIATE(Modulation)
-WEAKGRID_INSTANTIATE(Request)
-WEAKGRID_INSTANTIATE(DecisionMessage)
-WEAKGRID_INSTANTIATE(Reference)
-WEAKGRID_INSTANTIATE(Operation)
-WEAKGRID_INSTANTIATE(ControllerState)
-WEAKGRID_INSTANTIATE(Health)
-WEAKGRID_INSTANTIATE(Manifest)
+WEAKGRID_MESSAGES(WEAKGRID_INSTANTIATE)
 #undef WEAKGRID_INSTANTIATE
 
 }  // namespace weakgrid

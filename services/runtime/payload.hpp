@@ -1,9 +1,12 @@
 // The bytes of a recorded or replayed sample ↔ the messages of weakgrid.idl, without any bus.
 #pragma once
 
+#include <array>
 #include <cstddef>
+#include <functional>
 #include <optional>
 #include <span>
+#include <string>
 #include <string_view>
 
 #include "services/runtime/messages.hpp"
@@ -25,5 +28,12 @@ std::optional<bool> is_state_type(std::string_view type);
 /// ControllerState, Health, Manifest.
 template <class Message>
 std::optional<OfUnit<Message>> from_payload(std::span<const std::byte> payload);
+
+/// What DDS tells the instances of a keyed topic apart by.
+using KeyHash = std::array<std::uint8_t, 16>;
+/// The key of a payload of one type; nothing for one that does not decode. For one thread.
+using KeyOf = std::function<std::optional<KeyHash>(std::span<const std::byte>)>;
+/// For a DDS type name; empty for a type that weakgrid.idl does not have.
+KeyOf key_of_type(const std::string& type);
 
 }  // namespace weakgrid

@@ -3,9 +3,9 @@
 
 #include <fastcdr/Cdr.h>
 #include <fastcdr/FastBuffer.h>
-#include <fastcdr/exceptions/Exception.h>
 
 #include <cstddef>
+#include <exception>
 #include <span>
 
 namespace weakgrid {
@@ -21,7 +21,7 @@ template <class Wire>
   try {
     cdr.read_encapsulation();
     wire.deserialize(cdr);
-  } catch (const eprosima::fastcdr::exception::Exception&) {
+  } catch (const std::exception&) {  // Fast CDR's, and no memory for an absurd length
     return false;
   }
   return true;

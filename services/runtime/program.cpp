@@ -77,10 +77,11 @@ int run_service(int argc, char** argv, const std::string& name, const std::strin
       ->capture_default_str();
   for (const ServiceOption& option : options) app.add_option(option.name, *option.value, option.description);
   if (add) add(app);
-  app.footer(
-      fmt::format("Example: {} --settings deploy/settings/paper-weak.toml\n"
-                  "Stops on SIGINT or SIGTERM. Exit: 0 done, 2 bad usage or settings, 3 the world failed.",
-                  name));
+  if (app.get_footer().empty())
+    app.footer(
+        fmt::format("Example: {} --settings deploy/settings/paper-weak.toml\n"
+                    "Stops on SIGINT or SIGTERM. Exit: 0 done, 2 bad usage or settings, 3 the world failed.",
+                    name));
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {

@@ -39,7 +39,7 @@ struct ServiceOption {
   std::string name, description;
   std::optional<std::uint64_t>* value;
 };
-/// `add` puts options of any other kind on the command line.
+/// `add` puts options of any other kind on the command line; a footer that it sets stands.
 using AddOptions = std::function<void(CLI::App&)>;
 int run_service(int argc, char** argv, const std::string& name, const std::string& description,
                 const std::vector<ServiceOption>& options, const Serve& serve, const AddOptions& add = {});

@@ -2,7 +2,6 @@
 #include "services/runtime/tap.hpp"
 
 #include <fastdds/rtps/transport/UDPv4TransportDescriptor.h>
-#include <fnmatch.h>
 #include <spdlog/spdlog.h>
 
 #include <fastdds/rtps/writer/WriterDiscoveryInfo.h>
@@ -24,6 +23,7 @@
 #include <sstream>
 #include <thread>
 
+#include "services/recording/topic_patterns.hpp"
 #include "services/runtime/announcer.hpp"
 #include "services/runtime/wire.hpp"
 
@@ -52,7 +52,10 @@ class RawType : public dds::TopicDataType {
   bool serialize(void*, rtps::SerializedPayload_t*) override { return false; }
   bool deserialize(rtps::SerializedPayload_t* payload, void* data) override {
     const auto* bytes = reinterpret_cast<const std::byte*>(payload->data);
-    static_cast<std::vector<std::byte>*>(data)->assign(bytes, bytes + payload->length);
+    auto& out = *static_cast<std::vector<std::byte>*>(data);
+    out.assign(bytes, bytes + payload->length);
+    // RTPS carries payloads in fours; what this process hears of itself has not been on the wire.
+    out.resize((out.size() + 3) / 4 * 4);
     return true;
   }
   std::function<std::uint32_t()> getSerializedSizeProvider(void*) override {
@@ -95,12 +98,6 @@ std::string qos_text(const eprosima::fastdds::dds::WriterQos& qos) {
       {"lifespan_s", seconds(qos.m_lifespan.duration)},
       {"representations", representations}}
       .dump();
-}
-
-bool matches_any(const std::string& topic, const std::vector<std::string>& patterns) {
-  return std::any_of(patterns.begin(), patterns.end(), [&](const std::string& pattern) {
-    return fnmatch(pattern.c_str(), topic.c_str(), 0) == 0;
-  });
 }
 
 bool is_internal(const std::string& topic) { return topic.rfind("_fastdds_statistics", 0) == 0; }

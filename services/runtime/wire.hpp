@@ -41,6 +41,12 @@ WEAKGRID_TOPIC(Health, Health, "weakgrid/health", state)
 WEAKGRID_TOPIC(Manifest, Manifest, "weakgrid/manifest", state)
 #undef WEAKGRID_TOPIC
 
+/// Every message that travels, for what is instantiated for each.
+#define WEAKGRID_MESSAGES(DO)                                                                               \
+  DO(Measurement)                                                                                           \
+  DO(Modulation) DO(Request) DO(DecisionMessage) DO(Reference) DO(Operation) DO(ControllerState) DO(Health) \
+      DO(Manifest)
+
 void encode(const Measurement& message, wire::Measurement& out);
 void encode(const Modulation& message, wire::Modulation& out);
 void encode(const Request& message, wire::SetpointRequest& out);

@@ -267,15 +267,7 @@ bool is_same(const Value& a, const Value& b) {
 }
 
 #define WEAKGRID_INSTANTIATE(Message) template WireFields fields_of<Message>(std::uint32_t, const Message&);
-WEAKGRID_INSTANTIATE(Measurement)
-WEAKGRID_INSTANTIATE(Modulation)
-WEAKGRID_INSTANTIATE(Request)
-WEAKGRID_INSTANTIATE(DecisionMessage)
-WEAKGRID_INSTANTIATE(Reference)
-WEAKGRID_INSTANTIATE(Operation)
-WEAKGRID_INSTANTIATE(ControllerState)
-WEAKGRID_INSTANTIATE(Health)
-WEAKGRID_INSTANTIATE(Manifest)
+WEAKGRID_MESSAGES(WEAKGRID_INSTANTIATE)
 #undef WEAKGRID_INSTANTIATE
 
 }  // namespace weakgrid

@@ -138,20 +138,17 @@ TEST(Recorder, RecordsTopicsOfOtherProgramsAlsoInPartitions) {
   const Folder folder;
   Recording recording(domain, folder / "a.mcap", {"--exclude", "*/secret"});
   ASSERT_TRUE(test::wait_until([&] { return recording.is_running(); }));
-  RawWriter::Options of{.domain = domain.number(),
-                        .interfaces = {"127.0.0.1"},
-                        .topic = "some/thing",
-                        .type = "their::Blob",
-                        .partition = ""};
-  RawWriter plain(of);
+  RawBus bus(domain.number(), {"127.0.0.1"}, "their program");
+  RawWriter::Options of{.topic = "some/thing", .type = "their::Blob"};
+  RawWriter plain(bus, of);
   of.reliable = false;
-  RawWriter also_best_effort(of);
+  RawWriter also_best_effort(bus, of);
   of.reliable = true;
   of.topic = "some/secret";
-  RawWriter excluded(of);
+  RawWriter excluded(bus, of);
   of.topic = "other/thing";
-  of.partition = "there";
-  RawWriter in_partition(of);
+  of.partitions = {"there"};
+  RawWriter in_partition(bus, of);
   // The reader of the best-effort writer matches the reliable one as well.
   ASSERT_TRUE(test::wait_until([&] {
     return plain.matched() == 2 && also_best_effort.matched() == 1 && in_partition.matched() == 1;
