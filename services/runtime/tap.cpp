@@ -2,7 +2,6 @@
 #include "services/runtime/tap.hpp"
 
 #include <fastdds/rtps/transport/UDPv4TransportDescriptor.h>
-#include <fnmatch.h>
 #include <spdlog/spdlog.h>
 
 #include <fastdds/rtps/writer/WriterDiscoveryInfo.h>
@@ -95,12 +94,6 @@ std::string qos_text(const eprosima::fastdds::dds::WriterQos& qos) {
       {"lifespan_s", seconds(qos.m_lifespan.duration)},
       {"representations", representations}}
       .dump();
-}
-
-bool matches_any(const std::string& topic, const std::vector<std::string>& patterns) {
-  return std::any_of(patterns.begin(), patterns.end(), [&](const std::string& pattern) {
-    return fnmatch(pattern.c_str(), topic.c_str(), 0) == 0;
-  });
 }
 
 bool is_internal(const std::string& topic) { return topic.rfind("_fastdds_statistics", 0) == 0; }
@@ -210,8 +203,7 @@ struct Tap::Impl : dds::DomainParticipantListener {
   }
 
   bool is_wanted(const std::string& topic) const {
-    return !is_internal(topic) && (options.topics.empty() || matches_any(topic, options.topics)) &&
-           !matches_any(topic, options.excluded);
+    return !is_internal(topic) && options.filter.wants(topic);
   }
 
   // On a thread of the bus: no entity may be made here.
