@@ -4,8 +4,11 @@
 #include <cstdio>
 #include <ctime>
 
+#include "services/runtime/payload.hpp"
+#include "services/runtime/wire_fields.hpp"
 #include "tests/fuzz/exercise.hpp"
 #include "tests/fuzz/seeds.hpp"
+#include "tests/recording/payload_of.hpp"
 #include "tests/recording/recording_support.hpp"
 
 #if defined(__SANITIZE_ADDRESS__)
@@ -106,6 +109,26 @@ TEST(Mutations, ADamagedPayloadIsRefusedOrDecoded) {
 
 TEST(Mutations, DamagedSettingsAreRefusedOrReadBackTheSame) {
   try_all(settings_seeds(), mcap::law_count(2000), [](const std::string& text) { exercise_settings(text); });
+}
+
+TEST(Mutations, APayloadLongerThanItsTypeCanBeIsRefused) {
+  const char* const type = "weakgrid::wire::Measurement";
+  Bytes payload = payload_of(1, Measurement{});
+  payload.resize(payload.size() + 3);
+  EXPECT_TRUE(fields_of_payload(type, payload)) << "RTPS pads to 4 bytes";
+  payload.resize(payload.size() + 1);
+  EXPECT_FALSE(fields_of_payload(type, payload));
+  EXPECT_FALSE(from_payload<Measurement>(payload));
+
+  // A million counters without a name, as a sequence that is bounded to 32 announces them.
+  payload = payload_of(1, Health{});
+  constexpr std::size_t count_offset = 4 + 56;
+  constexpr std::uint32_t count = 1'000'000;
+  ASSERT_EQ(mcap::load<std::uint32_t>(&payload[count_offset]), 0U);
+  payload.resize(count_offset);
+  mcap::put(payload, count);
+  payload.resize(payload.size() + std::size_t{count} * 24);
+  EXPECT_FALSE(fields_of_payload("weakgrid::wire::Health", payload));
 }
 
 TEST(Mutations, TheInputsThemselvesAreGood) {
