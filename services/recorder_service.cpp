@@ -18,7 +18,8 @@ namespace {
 
 struct Options {
   std::string output = ".";
-  std::vector<std::string> topics, excluded, awaited;
+  TopicFilter filter;
+  std::vector<std::string> awaited;
   std::string compression = "zstd";
   std::string trigger;
   RecorderOptions recorder;
@@ -27,8 +28,9 @@ struct Options {
 void add(CLI::App& app, Options& o) {
   app.add_option("-o,--output", o.output, "file to create, or folder for a file named by the time")
       ->capture_default_str();
-  app.add_option("--topic", o.topics, "record these topics only; pattern with * and ?, may be repeated");
-  app.add_option("--exclude", o.excluded, "do not record these; wins over --topic");
+  app.add_option("--topic", o.filter.topics,
+                 "record these topics only; pattern with * and ?, may be repeated");
+  app.add_option("--exclude", o.filter.excluded, "do not record these; wins over --topic");
   app.add_option("--await", o.awaited, "say \"running\" only when writers of these topics are heard");
   app.add_option("--compression", o.compression, "of the file")
       ->check(CLI::IsMember({"zstd", "lz4", "none"}))
@@ -82,8 +84,7 @@ class RecorderService {
         tap_(std::make_unique<Tap>(
             Tap::Options{.domain = settings.unit.domain,
                          .interfaces = settings.dds.interfaces,
-                         .topics = options.topics,
-                         .excluded = options.excluded,
+                         .filter = options.filter,
                          .writers_max = options.recorder.writers_max},
             [this](const SourceWriter& w) {
               recorder_.add(w);

@@ -57,10 +57,10 @@ std::uint64_t passes_of(const CLI::Option& loop) {
 void add(CLI::App& app, Options& o) {
   const auto seconds = CLI::Range(0.0, 1e8);
   app.add_option("RECORDING", o.files, "MCAP files; several are played as one, by their times")->required();
-  app.add_option("--topic", o.selection.topics,
+  app.add_option("--topic", o.selection.filter.topics,
                  "replay these recorded topics only; pattern with * and ?, may be repeated")
       ->allow_extra_args(false);
-  app.add_option("--exclude", o.selection.excluded, "do not replay these; wins over --topic")
+  app.add_option("--exclude", o.selection.filter.excluded, "do not replay these; wins over --topic")
       ->allow_extra_args(false);
   app.add_option("--remap", o.selection.remaps, "FROM=TO: write recorded topic FROM as TO, may be repeated")
       ->allow_extra_args(false);

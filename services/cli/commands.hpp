@@ -21,6 +21,7 @@ Command add_operate(CLI::App& app);
 Command add_info(CLI::App& app);
 Command add_recover(CLI::App& app);
 Command add_verify(CLI::App& app);
+Command add_export(CLI::App& app);
 
 /// Where to look for a unit: --settings, or --domain and --unit.
 struct Where {

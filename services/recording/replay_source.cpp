@@ -8,7 +8,6 @@
 #include <set>
 
 #include "services/recording/recorder.hpp"
-#include "services/recording/topic_patterns.hpp"
 #include "services/runtime/announcer.hpp"
 #include "services/runtime/payload.hpp"
 
@@ -151,9 +150,7 @@ void ReplaySource::add_channels(Input& input, const ReplaySelection& selection) 
       throw SettingsError(fmt::format("--remap {}={}: no recording has a topic {}", from, name, from));
   }
   for (const auto& [id, channel] : input.reader.summary().channels) {
-    if ((!selection.topics.empty() && !matches_any(channel.topic, selection.topics)) ||
-        matches_any(channel.topic, selection.excluded))
-      continue;
+    if (!selection.filter.wants(channel.topic)) continue;
     const auto name = to.find(channel.topic);
     add_channel(input, channel, name == to.end() ? channel.topic : name->second);
   }

@@ -10,12 +10,12 @@
 #include "services/recording/mcap_index.hpp"
 #include "services/recording/sample.hpp"
 #include "services/runtime/settings.hpp"
+#include "services/runtime/topic_filter.hpp"
 
 namespace weakgrid {
 
 struct ReplaySelection {
-  std::vector<std::string> topics;     ///< patterns; empty = all
-  std::vector<std::string> excluded;   ///< likewise; wins over topics
+  TopicFilter filter;
   std::vector<std::string> remaps;     ///< "FROM=TO", recorded topic and the one to write; patterns see FROM
   double start_s = 0.0;                ///< from the first message of the recordings
   std::optional<double> until_s = {};  ///< likewise; what is at this time is left out

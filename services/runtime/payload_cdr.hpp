@@ -14,6 +14,11 @@ namespace weakgrid {
 template <class Wire>
 [[nodiscard]] bool deserialize(std::span<const std::byte> payload, Wire& wire) {
   using eprosima::fastcdr::Cdr;
+  // What no writer of that type sends: Fast CDR would make room for as many elements as there are bytes.
+  constexpr std::size_t encapsulation_bytes = 4, padding_bytes_max = 3;
+  static const std::size_t bytes_max =
+      encapsulation_bytes + Wire::getMaxCdrSerializedSize() + padding_bytes_max;
+  if (payload.size() > bytes_max) return false;
   // Fast CDR takes what it only reads as changeable.
   auto* bytes = const_cast<char*>(reinterpret_cast<const char*>(payload.data()));
   eprosima::fastcdr::FastBuffer buffer(bytes, payload.size());

@@ -23,7 +23,6 @@
 #include <sstream>
 #include <thread>
 
-#include "services/recording/topic_patterns.hpp"
 #include "services/runtime/announcer.hpp"
 #include "services/runtime/wire.hpp"
 
@@ -207,8 +206,7 @@ struct Tap::Impl : dds::DomainParticipantListener {
   }
 
   bool is_wanted(const std::string& topic) const {
-    return !is_internal(topic) && (options.topics.empty() || matches_any(topic, options.topics)) &&
-           !matches_any(topic, options.excluded);
+    return !is_internal(topic) && options.filter.wants(topic);
   }
 
   // On a thread of the bus: no entity may be made here.

@@ -10,6 +10,7 @@
 
 #include "services/recording/sample.hpp"
 #include "services/runtime/bus.hpp"
+#include "services/runtime/topic_filter.hpp"
 
 namespace weakgrid {
 
@@ -19,9 +20,8 @@ class Tap {
   struct Options {
     std::uint32_t domain = 0;
     std::vector<std::string> interfaces;
-    std::vector<std::string> topics;    ///< patterns as of fnmatch(3); empty = all
-    std::vector<std::string> excluded;  ///< likewise; wins over topics
-    std::size_t writers_max = 4096;     ///< more are left out
+    TopicFilter filter;
+    std::size_t writers_max = 4096;  ///< more are left out
   };
   /// On a thread of the bus, one call at a time, before any sample of that writer.
   using SeeWriter = std::function<void(const SourceWriter&)>;

@@ -204,6 +204,23 @@ WireFields list(const wire::ControllerState& m) {
 #undef RAMP
 #undef FIELD
 
+// use(wire), empty, of the type that has this name.
+template <class Use>
+void with_type(std::string_view type, Use use) {
+#define TRY(Message) \
+  if (type == "weakgrid::wire::" #Message) return use(wire::Message{});
+  TRY(Measurement)
+  TRY(Modulation)
+  TRY(SetpointRequest)
+  TRY(SetpointDecision)
+  TRY(Reference)
+  TRY(Operation)
+  TRY(ControllerState)
+  TRY(Health)
+  TRY(Manifest)
+#undef TRY
+}
+
 }  // namespace
 
 template <class Message>
@@ -215,22 +232,19 @@ WireFields fields_of(std::uint32_t unit, const Message& message) {
 }
 
 std::optional<WireFields> fields_of_payload(std::string_view type, std::span<const std::byte> payload) {
-#define TRY(Message)                                                              \
-  if (type == "weakgrid::wire::" #Message) {                                      \
-    wire::Message wire;                                                           \
-    return deserialize(payload, wire) ? std::optional(list(wire)) : std::nullopt; \
-  }
-  TRY(Measurement)
-  TRY(Modulation)
-  TRY(SetpointRequest)
-  TRY(SetpointDecision)
-  TRY(Reference)
-  TRY(Operation)
-  TRY(ControllerState)
-  TRY(Health)
-  TRY(Manifest)
-#undef TRY
-  return std::nullopt;
+  std::optional<WireFields> fields;
+  with_type(type, [&](auto wire) {
+    if (deserialize(payload, wire)) fields = list(wire);
+  });
+  return fields;
+}
+
+std::vector<std::string> field_names(std::string_view type) {
+  std::vector<std::string> names;
+  with_type(type, [&](const auto& wire) {
+    for (const WireField& field : list(wire)) names.emplace_back(field.name);
+  });
+  return names;
 }
 
 std::string to_text(const Value& value) {

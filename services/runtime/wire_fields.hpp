@@ -31,6 +31,9 @@ WireFields fields_of(std::uint32_t unit, const Message& message);
 /// Nothing if the type ("weakgrid::wire::Measurement") is none of ours or the bytes are not of that type.
 std::optional<WireFields> fields_of_payload(std::string_view type, std::span<const std::byte> payload);
 
+/// Their names, whatever the message holds; none if the type is none of ours.
+std::vector<std::string> field_names(std::string_view type);
+
 /// In decimal; a double with as many digits as tell it from every other.
 std::string to_text(const WireField::Value& value);
 /// The bits in hexadecimal; of a text its bytes.

@@ -1,5 +1,5 @@
 // Bytes that nobody meant to be read: cut, flipped, zeroed, lied about. The reader answers, it never falls
-// over.
+// over. Random damage: tests/fuzz.
 #include "tests/recording/recording_support.hpp"
 
 namespace weakgrid::mcap {
@@ -98,32 +98,6 @@ TEST(McapHostile, NoFlippedBitGoesUnnoticedAndNoneCostsMoreThanItsChunk) {
       ASSERT_GE(content.messages.size() + chunk_messages_max, whole.messages.size()) << "bit " << bit;
       exercise(bytes, report, {.keep_bad_crc = true});
       bytes[bit / 8] ^= mask;
-    }
-  }
-}
-
-TEST(McapHostile, RandomDamageIsSurvived) {
-  const Folder folder;
-  for (const Compression compression : compressions) {
-    const auto path = folder / (std::string{"a"} + std::string{name_of(compression)}).c_str();
-    write_file(path, 14, {.records = 150, .payload_max = 60}, small_chunks(compression));
-    const Bytes bytes = file_bytes(path);
-    for (std::uint32_t seed = 0; seed < law_count(300); ++seed) {
-      SCOPED_TRACE("seed " + std::to_string(seed));
-      Random random{seed};
-      Bytes damaged = bytes;
-      for (std::uint64_t k = below(random, 8); k < 8; ++k) {
-        const std::size_t at = below(random, damaged.size());
-        const std::size_t count = std::min<std::size_t>(below(random, 9), damaged.size() - at);
-        for (std::size_t n = 0; n < count; ++n) {
-          // Lengths of all ones and high bits are what overflows are made of.
-          const auto kind = below(random, 3);
-          damaged[at + n] = kind == 0 ? std::byte{0xff} : static_cast<std::byte>(kind == 1 ? 0 : random());
-        }
-      }
-      if (below(random, 4) == 0) damaged.resize(below(random, damaged.size()));
-      ScanReport report;
-      exercise(damaged, report, {.keep_bad_crc = below(random, 2) == 0});
     }
   }
 }

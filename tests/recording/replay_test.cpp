@@ -94,7 +94,9 @@ class Ears {
  public:
   explicit Ears(const test::Domain& domain)
       : tap_(
-            {.domain = domain.number(), .interfaces = loopback, .topics = {}, .excluded = {"weakgrid/*"}},
+            {.domain = domain.number(),
+             .interfaces = loopback,
+             .filter = {.topics = {}, .excluded = {"weakgrid/*"}}},
             [this](const SourceWriter& writer) {
               const std::lock_guard lock(mutex_);
               topics_.push_back(writer.topic);

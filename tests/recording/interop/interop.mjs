@@ -9,18 +9,12 @@ import { join } from "node:path";
 import { crc32 } from "@foxglove/crc";
 import { parseIDL } from "@foxglove/omgidl-parser";
 import { MessageReader } from "@foxglove/omgidl-serialization";
-import decompressLz4 from "@foxglove/wasm-lz4";
-import * as zstd from "@foxglove/wasm-zstd";
 import { McapIndexedReader, McapStreamReader, McapWriter } from "@mcap/core";
+
+import { decompressHandlers } from "./decompress.mjs";
 
 const [peer, folder] = process.argv.slice(2);
 mkdirSync(folder, { recursive: true });
-await Promise.all([zstd.isLoaded ?? zstd.default.isLoaded, decompressLz4.isLoaded]);
-const decompressZstd = zstd.decompress ?? zstd.default.decompress;
-const decompressHandlers = {
-  lz4: (bytes, size) => new Uint8Array(decompressLz4(bytes, Number(size))),
-  zstd: (bytes, size) => new Uint8Array(decompressZstd(bytes, Number(size))),
-};
 
 const readable = (bytes) => ({
   size: async () => BigInt(bytes.byteLength),

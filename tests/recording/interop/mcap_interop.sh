@@ -8,7 +8,7 @@ here=$(dirname -- "$(readlink -f -- "${BASH_SOURCE[0]}")")
 source "$here/../../support/npm_packages.sh"
 into=$2/interop_mcap
 install_packages "$here" "$into"
-cp "$here/interop.mjs" "$into/interop.mjs"
+cp "$here/interop.mjs" "$here/decompress.mjs" "$into/"
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
 cd "$into"
