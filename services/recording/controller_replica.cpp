@@ -77,6 +77,12 @@ void ControllerReplica::process(const Answer& answer) {
   if (has_begun_ && is_synced_ && answer.sequence != last_sequence_ + 1 && !fill_gap(answer))
     lose(fmt::format("{} answers before step {} are not in the recording",
                      answer.sequence - last_sequence_ - 1, recorded.step));
+  // A step back is another plant, and its first samples may be those of the first one to the bit.
+  if (has_begun_ && listens_ && recorded.step < last_step_) {
+    ++plant_;
+    listens_ = false;
+    changes_plant_ = true;
+  }
   has_begun_ = true;
   last_sequence_ = answer.sequence;
   last_step_ = recorded.step;
@@ -111,16 +117,15 @@ bool ControllerReplica::fill_gap(const Answer& answer) {
 const Measurement* ControllerReplica::sample_of(const Modulation& recorded) {
   const Measurement* other = nullptr;
   const char* field = "measurement_fingerprint";
-  // A step back is another plant, and its first samples may be those of the first one to the bit.
-  const std::size_t nearest = !listens_ ? 0 : recorded.step < last_sample_step_ ? plant_ + 1 : plant_;
-  for (std::size_t n = nearest; n < inputs_.plants.size(); ++n) {
+  for (std::size_t n = plant_; n < inputs_.plants.size(); ++n) {
     const Measurement* sample = inputs_.plants[n].find(recorded.step);
     if (sample == nullptr) continue;
     if (recorded.measurement_fingerprint != 0 && fingerprint(*sample) != recorded.measurement_fingerprint) {
-      other = sample;
+      if (listens_ ? n == plant_ : inputs_.plants.size() == plant_ + 1) other = sample;
       continue;
     }
-    if (listens_ && n != plant_ && is_synced_) controller_->reset();  // another plant
+    if (is_synced_ && (changes_plant_ || (listens_ && n != plant_))) controller_->reset();
+    changes_plant_ = false;
     plant_ = n;
     listens_ = true;
     last_sample_step_ = recorded.step;

@@ -70,8 +70,8 @@ class ControllerReplica {
   std::optional<Controller> controller_;
   std::deque<Answer> answers_;          // by sequence
   std::deque<ControllerState> states_;  // by step, not yet met
-  std::size_t plant_ = 0;               // index of the plant listened to
-  bool listens_ = false;
+  std::size_t plant_ = 0;               // index of the plant listened to; the first that may be, if none is
+  bool listens_ = false, changes_plant_ = false;
   bool is_synced_ = false;
   bool has_begun_ = false;
   std::string lost_because_;
