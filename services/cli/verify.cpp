@@ -25,17 +25,25 @@ struct Options {
 struct Verdict {
   ReexecutionFindings findings;
   double recorded_s = 0.0, wall_s = 0.0;
+  std::map<std::uint32_t, OutcomeGauge> recorded;  // by unit; what if: how it fared
+  std::optional<Settings> other;
   bool is_what_if = false;
 
   bool is_good() const { return findings.differences.count() == 0 && findings.compared() > 0; }
   double speed() const { return wall_s > 0.0 ? recorded_s / wall_s : 0.0; }
 };
 
+// The bits of a number; of a text there is no more to see.
+std::string shown(const WireField::Value& value) {
+  if (std::holds_alternative<std::string>(value)) return '"' + to_text(value) + '"';
+  return fmt::format("{} ({})", to_text(value), to_hex(value));
+}
+
 std::string describe(const Difference& d) {
-  return fmt::format("unit {} step {}: {}{}{} field {}: recorded {} ({}), {} {} ({})", d.unit, d.step, d.what,
-                     d.which.empty() ? "" : " of ", d.which, d.field, to_text(d.recorded), to_hex(d.recorded),
-                     d.what == "sample" || d.what == "request" ? "what is in the file has" : "re-executed",
-                     to_text(d.computed), to_hex(d.computed));
+  const bool is_input = d.what == "sample" || d.what == "request";
+  return fmt::format("unit {} step {}: {}{}{} field {}: recorded {}, {} {}", d.unit, d.step, d.what,
+                     d.which.empty() ? "" : " of ", d.which, d.field, shown(d.recorded),
+                     is_input ? "what is in the file has" : "re-executed", shown(d.computed));
 }
 
 double mu_rms(const ControllerFindings& c) {
@@ -48,6 +56,52 @@ void print_unchecked(const std::vector<Unchecked>& list) {
     fmt::print("  not compared: {} from step {} to {}: {}\n", list[n].count, list[n].first_step,
                list[n].last_step, list[n].why);
   if (list.size() > printed_max) fmt::print("  … and {} more stretches\n", list.size() - printed_max);
+}
+
+/// Units: how they fared, and how they would have, or why that cannot be told.
+struct WhatIf {
+  LoopOutcome recorded;
+  std::optional<LoopOutcome> other;
+  std::string why_not;
+};
+std::map<std::uint32_t, WhatIf> what_ifs(const Verdict& v) {
+  std::map<std::uint32_t, WhatIf> all;
+  if (!v.other) return all;
+  for (const auto& [unit, gauge] : v.recorded) {
+    WhatIf& w = all[unit];
+    w.recorded = gauge.outcome();
+    const auto loop = v.findings.loops.find(unit);
+    w.why_not = loop == v.findings.loops.end() ? "nothing is known of its loop" : why_not(loop->second);
+    if (w.why_not.empty()) w.other = emulate(loop->second, controller_configuration(*v.other));
+  }
+  return all;
+}
+
+/// A line for each figure of an outcome.
+std::vector<std::pair<const char*, double>> figures(const LoopOutcome& o) {
+  const auto blocked = o.blocked_at ? static_cast<double>(*o.blocked_at) : -1.0;
+  return {{"v_c min", o.v_c_min},
+          {"v_c max", o.v_c_max},
+          {"|i| max", o.i_max},
+          {"mean |q - q_r|", o.q_error},
+          {"mean |v_c - v_cr|", o.v_c_error},
+          {"the same over the last period, q", o.q_error_last},
+          {"the same over the last period, v_c", o.v_c_error_last},
+          {"saturated steps", static_cast<double>(o.saturated)},
+          {"blocked at step (-1: never)", blocked}};
+}
+
+void print(const std::map<std::uint32_t, WhatIf>& all) {
+  for (const auto& [unit, w] : all) {
+    if (!w.other) {
+      fmt::print("unit {} cannot be emulated once more: {}\n", unit, w.why_not);
+      continue;
+    }
+    fmt::print("\nunit {}, emulated once more{:>27}{:>16}\n", unit, "recorded", "what if");
+    const auto was = figures(w.recorded), would = figures(*w.other);
+    for (std::size_t n = 0; n < was.size(); ++n)
+      fmt::print("  {:<36}{:>16.6g}{:>16.6g}\n", was[n].first, was[n].second, would[n].second);
+  }
 }
 
 void print(const Verdict& v) {
@@ -78,6 +132,7 @@ void print(const Verdict& v) {
   for (std::size_t n = 0; n < kept.size() && n < printed_max; ++n) fmt::print("{}\n", describe(kept[n]));
   if (v.findings.differences.count() > printed_max && !v.is_what_if)
     fmt::print("… and {} more differences\n", v.findings.differences.count() - printed_max);
+  print(what_ifs(v));
   fmt::print("{}", v.findings.file_faults);
   fmt::print("{:.2f} s recorded, re-executed in {:.3f} s: {:.0f} × real time\n", v.recorded_s, v.wall_s,
              v.speed());
@@ -150,6 +205,12 @@ json to_json(const Verdict& v) {
                                         {"recorded_hex", to_hex(d.recorded)},
                                         {"computed", to_text(d.computed)},
                                         {"computed_hex", to_hex(d.computed)}});
+  for (const auto& [unit, w] : what_ifs(v)) {
+    json& item = out["what_if"].emplace_back(json{{"unit", unit}, {"why_not", w.why_not}});
+    for (const auto& [name, value] : figures(w.recorded)) item["recorded"][name] = value;
+    if (!w.other) continue;
+    for (const auto& [name, value] : figures(*w.other)) item["other"][name] = value;
+  }
   return out;
 }
 
@@ -159,8 +220,15 @@ int verify(const Options& options) {
   how.from_step = options.from_step;
   if (!options.settings.empty()) how.other_settings = load_settings(options.settings);
   verdict.is_what_if = how.other_settings.has_value();
-  how.watch = [&verdict](std::uint32_t, const Measurement& m, const Modulation&, const Controller&) {
+  verdict.other = how.other_settings;
+  const double omega = converter(how.other_settings.value_or(Settings{})).omega;
+  std::map<std::uint32_t, std::uint64_t> next;  // by unit: repeats count once
+  how.watch = [&](std::uint32_t unit, const Measurement& m, const Modulation& answer,
+                  const Controller& controller) {
     verdict.recorded_s += period_s(m.timing);
+    if (!verdict.other || m.step < next[unit]) return;
+    next[unit] = m.step + 1;
+    verdict.recorded[unit].see(m, answer, controller.state().references, omega);
   };
   RecordingSource source(options.files);
   Reexecution reexecution(how);

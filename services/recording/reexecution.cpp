@@ -75,6 +75,7 @@ void Reexecution::see_as(const RecordedMessage& message) {
       ControllerReplica& replica = controller_of(unit, number, *message.writer);
       replica.see(message.sequence, content);
       replica.process(false);
+      note_loop(unit, content);
     } else if constexpr (std::is_same_v<Message, ControllerState>) {
       // Of the same process as the modulations: the newest of that participant.
       for (auto at = unit.controllers.rbegin(); at != unit.controllers.rend(); ++at)
@@ -248,6 +249,17 @@ GatewayReplica& Reexecution::gateway_of(Unit& unit, std::uint32_t number, const 
   return replica;
 }
 
+// What a what-if needs to know of the loop. A reference that is heard later than it was used is looked up
+// then.
+void Reexecution::note_loop(Unit& unit, const Modulation& answer) {
+  unit.loop.last_step = std::max(unit.loop.last_step, answer.step);
+  if (answer.newest_reference_id == unit.newest_reference) return;
+  unit.newest_reference = answer.newest_reference_id;
+  Reference named;
+  named.id = answer.newest_reference_id;
+  unit.loop.accepted.emplace_back(answer.step, named);
+}
+
 void Reexecution::finish() {
   check_units();
   GatewayReplica::Strays strays;
@@ -257,6 +269,15 @@ void Reexecution::finish() {
       for (const auto& [id, reference] : unit.inputs.references) strays.references.push_back(reference);
   }
   for (auto& [number, unit] : units_) {
+    RecordedLoop& loop = unit.loop;
+    std::erase_if(loop.accepted,
+                  [&](const auto& a) { return unit.inputs.references.count(a.second.id) == 0; });
+    for (auto& [step, reference] : loop.accepted) reference = unit.inputs.references.at(reference.id);
+    loop.plants = unit.inputs.plants.size();
+    if (loop.plants > 0) loop.first_step = unit.inputs.plants.front().first_step;
+    for (const Process& process : processes_)
+      if (process.unit == number && process.service == "plant") loop.plant = process.settings;
+    findings_.loops.emplace(number, loop);
     for (auto& [index, replica] : unit.controllers) {
       replica->process(true);
       findings_.controllers.push_back(replica->findings());

@@ -11,6 +11,7 @@
 #include "services/recording/controller_replica.hpp"
 #include "services/recording/gateway_replica.hpp"
 #include "services/recording/recording_source.hpp"
+#include "services/recording/what_if.hpp"
 #include "services/runtime/settings.hpp"
 
 namespace weakgrid {
@@ -27,6 +28,7 @@ struct ReexecutionFindings {
   std::vector<GatewayFindings> gateways;
   DifferenceLog differences;
   std::uint64_t manifests = 0;
+  std::map<std::uint32_t, RecordedLoop> loops;  ///< by unit
   std::string file_faults;
 
   std::uint64_t compared() const;
@@ -56,7 +58,10 @@ class Reexecution {
     std::map<std::string, GatewayReplica> gateways;                         // by participant
     std::uint64_t first_step = 0;
     std::string first_type;
+    RecordedLoop loop;
+    std::uint32_t newest_reference = 0;  // that the controller knew
   };
+  void note_loop(Unit& unit, const Modulation& answer);
 
   void see(const RecordedMessage& message);
   template <class Message>

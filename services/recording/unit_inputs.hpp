@@ -16,6 +16,7 @@ namespace weakgrid {
 /// The samples of one plant process: the last ones, and every change of blocked.
 struct PlantStream {
   std::string writer;
+  std::uint64_t first_step = 0;
   std::deque<Measurement> samples;                      // steps rise
   std::vector<std::pair<std::uint64_t, bool>> blocked;  // from this step on
 
@@ -41,7 +42,7 @@ struct UnitInputs {
       const auto known = std::find_if(plants.begin(), plants.end(),
                                       [&](const PlantStream& plant) { return plant.writer == writer; });
       if (known == plants.end())
-        plants.push_back({writer, {}, {}});
+        plants.push_back({writer, m.step, {}, {}});
       else
         return see(*known, m);
     }

@@ -423,12 +423,18 @@ TEST(Verify, OtherSettingsTellHowTheOutcomeDiffers) {
   const test::Ended as_recorded =
       test::run("weakgrid", {"verify", played(), "--settings", same.path(), "--json"});
   EXPECT_EQ(as_recorded.status, 0) << as_recorded.out << as_recorded.err;
+  const json unchanged = json::parse(as_recorded.out, nullptr, false)["what_if"][0];
+  EXPECT_EQ(unchanged["recorded"], unchanged["other"])
+      << "emulated with the same settings it is the same run";
   const test::Ended what_if =
       test::run("weakgrid", {"verify", played(), "--settings", other.path(), "--json"});
   EXPECT_EQ(what_if.status, 1) << what_if.err;
   const json report = json::parse(what_if.out, nullptr, false);
   EXPECT_GT(report["controllers"][0]["mu_distance_max"], 0.0);
   EXPECT_LT(report["controllers"][0]["identical"], scenario_steps);
+  const json& outcome = report["what_if"][0];
+  EXPECT_NE(outcome["recorded"]["mean |q - q_r|"], outcome["other"]["mean |q - q_r|"]);
+  EXPECT_GT(outcome["other"]["v_c min"], 1.5) << "still held";
   EXPECT_EQ(report["gateways"][0]["decisions_identical"], 3)
       << "the gains are none of the gateway's business";
 }
