@@ -4,6 +4,7 @@
 #include <fmt/format.h>
 #include <sys/statvfs.h>
 
+#include <cstring>
 #include <filesystem>
 #include <limits>
 #include <nlohmann/json.hpp>
@@ -350,8 +351,10 @@ void Recorder::tick(Clock::time_point now) {
   check(file_.flush_if_older(now.time_since_epoch().count()));
   if (!is_recording_ || now - synced_ < sync_every) return;
   synced_ = now;
-  check(file_.sync());
-  if (!is_recording_) return;
+  const std::string path = path_of(options_.path, parts_);
+  disk_.request(path);
+  if (const int error = disk_.take_error(); error != 0)
+    return stop(fmt::format("{}: cannot be written to the disk: {}", path, std::strerror(error)));
   file_bytes_ = file_.file_bytes();
   if (now - writers_written_ >= writers_every) {
     writers_written_ = now;

@@ -11,6 +11,7 @@
 #include <thread>
 #include <vector>
 
+#include "services/recording/disk_sync.hpp"
 #include "services/recording/mcap_writer.hpp"
 #include "services/recording/ring.hpp"
 #include "services/recording/sequence_map.hpp"
@@ -29,7 +30,7 @@ inline constexpr const char* settings_attachment = "settings.toml";
 struct RecorderOptions {
   std::string path;  ///< of the first part; rotation makes NAME_0002.mcap and so on of NAME.mcap
   mcap::Compression compression = mcap::Compression::zstd;
-  std::size_t ring_bytes = 32 << 20;  ///< between the threads that receive and the one that writes
+  std::size_t ring_bytes = 64 << 20;  ///< between the threads that receive and the one that writes
   std::size_t writers_max = 4096;
   std::uint64_t max_bytes = 0;              ///< of a part, 0 = no limit; exceeded by the end of the file
   double max_seconds = 0.0;                 ///< likewise
@@ -124,6 +125,7 @@ class Recorder {
   std::atomic<std::uint64_t> writer_count_{0}, file_bytes_{0};
 
   // Of the writing thread alone.
+  DiskSync disk_;
   mcap::Writer file_;
   bool is_recording_ = false;
   std::deque<Writer> writers_;
