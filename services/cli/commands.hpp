@@ -22,6 +22,7 @@ Command add_info(CLI::App& app);
 Command add_recover(CLI::App& app);
 Command add_verify(CLI::App& app);
 Command add_export(CLI::App& app);
+Command add_plot(CLI::App& app);
 
 /// Where to look for a unit: --settings, or --domain and --unit.
 struct Where {

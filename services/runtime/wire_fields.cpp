@@ -56,7 +56,10 @@ Value value_of(wire::ServiceState value) {
 template <class Sequence, class Describe>
 Value sequence(const Sequence& items, Describe describe) {
   std::string text;
-  for (const auto& item : items) text += (text.empty() ? "" : ";") + describe(item);
+  for (const auto& item : items) {
+    if (!text.empty()) text += ";";
+    text += describe(item);
+  }
   return text;
 }
 
@@ -147,7 +150,7 @@ WireFields list(const wire::Manifest& m) {
           FIELD(settings),
           {"constants", sequence(m.constants(),
                                  [](const wire::Constant& item) {
-                                   return item.name().c_str() + (":" + to_text(item.value()));
+                                   return std::string(item.name().c_str()) + ":" + to_text(item.value());
                                  })},
           FIELD(digest)};
 }
