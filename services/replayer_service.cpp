@@ -220,11 +220,13 @@ class ReplayerService {
 
   void print(const Replayer& replayer) const {
     const Replayer::Counters c = replayer.counters();
-    const Lateness& late = replayer.lateness();
-    const double median = late.quantile_us(0.5), p99 = late.quantile_us(0.99);
+    const DurationHistogram& late = replayer.lateness();
+    const double median = 1e-3 * static_cast<double>(late.quantile_ns(0.5)),
+                 p99 = 1e-3 * static_cast<double>(late.quantile_ns(0.99));
     if (options_.json) {
       nlohmann::json timing;
-      if (late.count() != 0) timing = {{"median", median}, {"p99", p99}, {"max", late.max_us()}};
+      if (late.count() != 0)
+        timing = {{"median", median}, {"p99", p99}, {"max", 1e-3 * static_cast<double>(late.max_ns())}};
       const nlohmann::json report{{"domain", domain_},        {"messages", c.messages},
                                   {"bytes", c.bytes},         {"duration_s", replayer.duration_s()},
                                   {"late", c.late},           {"unsent", c.unsent},
@@ -236,7 +238,7 @@ class ReplayerService {
                c.messages, c.bytes, replayer.duration_s(), domain_, c.late, c.unsent);
     if (late.count() != 0)
       fmt::print("timing error: median {:.1f} us, p99 {:.1f} us, max {:.1f} us\n", median, p99,
-                 late.max_us());
+                 1e-3 * static_cast<double>(late.max_ns()));
   }
 
   const Options& options_;

@@ -47,9 +47,9 @@ struct Panel {
 
 std::string timing_script(const PlotData& data, const FigureStyle& style) {
   FigureScript script(style, size);
-  const Panel drawn[panels] = {{"Sample to next sample", data.interval, "#0072b2"},
-                               {"Sample to answer", data.turnaround, "#d55e00"},
-                               {"Publication to recorder", data.arrival, "#009e73"}};
+  const Panel drawn[panels] = {{"Sample to next sample", data.timings.interval, "#0072b2"},
+                               {"Sample to answer", data.timings.turnaround, "#d55e00"},
+                               {"Publication to recorder", data.timings.arrival, "#009e73"}};
   // One axis for all, whole decades.
   double low = 1e18, high = 1.0;
   for (const Panel& panel : drawn) {

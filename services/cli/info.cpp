@@ -2,11 +2,13 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
 #include <nlohmann/json.hpp>
 
 #include "services/cli/commands.hpp"
 #include "services/recording/mcap_recover.hpp"
 #include "services/recording/recorder.hpp"
+#include "services/recording/step_timings.hpp"
 #include "services/runtime/program.hpp"
 
 namespace weakgrid {
@@ -28,7 +30,8 @@ struct RecordingInfo {
   std::map<mcap::ChannelId, ChannelInfo> channels;
   std::vector<mcap::StringMap> manifests;
   mcap::StringMap recording, recovery;
-  json writers = json::object();  // the recorder's own words, of the last time it wrote them
+  json writers = json::object();               // the recorder's own words, of the last time it wrote them
+  std::map<std::uint32_t, StepTimings> loops;  // by unit
   std::uint64_t uncompressed = 0, compressed = 0;
 
   bool is_recovered() const { return !recovery.empty(); }
@@ -37,6 +40,16 @@ struct RecordingInfo {
     return is_recovered() ? "recovered" : "complete";
   }
 };
+
+void see_loop(RecordingInfo& info, const std::string& type, const mcap::Message& message) {
+  if (type == "weakgrid::wire::Measurement") {
+    if (const auto m = from_payload<Measurement>(message.data))
+      info.loops[m->unit].see_sample(m->message.step, message.publish_time_ns, message.log_time_ns);
+  } else if (type == "weakgrid::wire::Modulation") {
+    if (const auto m = from_payload<Modulation>(message.data))
+      info.loops[m->unit].see_answer(m->message.step, message.publish_time_ns, message.log_time_ns);
+  }
+}
 
 void see(RecordingInfo& info, const mcap::Reader& reader, const mcap::Message& message) {
   auto [entry, is_new] = info.channels.try_emplace(message.channel_id);
@@ -54,6 +67,7 @@ void see(RecordingInfo& info, const mcap::Reader& reader, const mcap::Message& m
   channel.first_ns = std::min(channel.first_ns, message.log_time_ns);
   channel.last_ns = std::max(channel.last_ns, message.log_time_ns);
   // Far from 0, so that a late one before the first stays positive.
+  see_loop(info, channel.type, message);
   const std::uint64_t last =
       channel.sequences.count() == 0 ? std::uint64_t{1} << 32 : channel.sequences.last();
   channel.sequences.see(unwrap(message.sequence, last));
@@ -174,6 +188,24 @@ double ratio_of(const RecordingInfo& info) {
                               : static_cast<double>(info.uncompressed) / static_cast<double>(info.compressed);
 }
 
+using NamedDurations = std::pair<const char*, const DurationHistogram*>;
+std::array<NamedDurations, 3> durations_of(const StepTimings& loop) {
+  return {{{"sample to next sample", &loop.interval},
+           {"sample to answer", &loop.turnaround},
+           {"publication to recorder", &loop.arrival}}};
+}
+
+double us(std::uint64_t ns) { return static_cast<double>(ns) * 1e-3; }
+
+json to_json(const DurationHistogram& h) {
+  return {{"count", h.count()},
+          {"p50_us", us(h.quantile_ns(0.5))},
+          {"p99_us", us(h.quantile_ns(0.99))},
+          {"p999_us", us(h.quantile_ns(0.999))},
+          {"max_us", us(h.max_ns())},
+          {"negative", h.negative()}};
+}
+
 json to_json(const RecordingInfo& info) {
   const auto topics = topics_of(info);
   const Total total = total_of(topics);
@@ -211,6 +243,10 @@ json to_json(const RecordingInfo& info) {
                               {"repeated", c.sequences.repeated()},
                               {"dropped", c.dropped},
                               {"gaps", gaps_of(c.sequences)}});
+  for (const auto& [unit, loop] : info.loops) {
+    json& item = out["loops"].emplace_back(json{{"unit", unit}});
+    for (const auto& [name, histogram] : durations_of(loop)) item[name] = to_json(*histogram);
+  }
   return out;
 }
 
@@ -229,6 +265,13 @@ void print(const RecordingInfo& info) {
   for (const auto& [name, t] : topics)
     fmt::print("{:<28}{:<34}{:>8}{:>10}{:>12}{:>11.1f}{:>9}{:>9}\n", name, t.type, t.writers, t.messages,
                t.bytes, t.rate_hz(), t.has_sequences ? std::to_string(t.missing) : "?", t.dropped);
+  for (const auto& [unit, loop] : info.loops) {
+    fmt::print("\nunit {}, µs{:>32}{:>12}{:>12}{:>12}\n", unit, "p50", "p99", "p99.9", "max");
+    for (const auto& [name, h] : durations_of(loop))
+      if (h->count() > 0)
+        fmt::print("  {:<28}{:>12.1f}{:>12.1f}{:>12.1f}{:>12.1f}\n", name, us(h->quantile_ns(0.5)),
+                   us(h->quantile_ns(0.99)), us(h->quantile_ns(0.999)), us(h->max_ns()));
+  }
   for (const auto& [id, c] : info.channels) {
     if (c.writer.empty() || c.sequences.missing() == 0) continue;
     fmt::print("\n{} of {}: {} missing:", c.writer, c.topic, c.sequences.missing());

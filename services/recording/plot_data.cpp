@@ -39,13 +39,6 @@ class Gatherer {
   }
 
  private:
-  // A loop message's way through the bus, by step.
-  struct Stamps {
-    std::uint64_t step = ~std::uint64_t{0};
-    std::uint64_t sample_ns = 0, answer_ns = 0;
-  };
-  static constexpr std::size_t stamps_max = 1 << 14;
-
   void see(const RecordedMessage& message);
   void see(const RecordedMessage& message, const Measurement& m);
   void see(const RecordedMessage& message, const Modulation& modulation);
@@ -54,8 +47,6 @@ class Gatherer {
   template <class Message>
   std::optional<Message> of_my_unit(const RecordedMessage& message);
   bool is_wanted(double t_s) const { return t_s >= selection_.from_s && t_s <= selection_.until_s; }
-  Stamps& stamps_of(std::uint64_t step);
-  void note_turnaround(const Stamps& stamps);
   void note_loss(std::uint64_t from_step, std::uint64_t to_step, double period);
   void mark(double t_s, const std::string& text);
   void read_manifests();
@@ -72,9 +63,8 @@ class Gatherer {
   std::optional<Scenario> scenario_;
   double period_s_ = period_s(Timing{});
   std::optional<std::uint64_t> last_step_;
-  std::uint64_t last_sample_ns_ = 0, lost_ = 0, strange_setpoints_ = 0;
+  std::uint64_t lost_ = 0, strange_setpoints_ = 0;
   bool is_blocked_ = false;
-  std::vector<Stamps> stamps_ = std::vector<Stamps>(stamps_max);
 };
 
 template <class Message>
@@ -111,19 +101,13 @@ void Gatherer::see(const RecordedMessage& message, const Measurement& m) {
   const double T = period_s_ = period_s(m.timing);
   const double t = static_cast<double>(m.step) * T;
   if (message.writer->index != plant_ || !is_wanted(t)) return;
-  data_.arrival.add(static_cast<std::int64_t>(message.log_time_ns - message.publish_time_ns));
+  data_.timings.see_sample(m.step, message.publish_time_ns, message.log_time_ns);
   if (last_step_ && m.step <= *last_step_) return;  // sent again
-  Stamps& stamps = stamps_of(m.step);
-  stamps.sample_ns = message.publish_time_ns;
-  note_turnaround(stamps);
-  if (last_step_ && m.step == *last_step_ + 1)
-    data_.interval.add(static_cast<std::int64_t>(message.publish_time_ns - last_sample_ns_));
-  else if (last_step_)
-    note_loss(*last_step_ + 1, m.step - 1, T);
-  else
+  if (!last_step_)
     data_.first_s = t;
+  else if (m.step != *last_step_ + 1)
+    note_loss(*last_step_ + 1, m.step - 1, T);
   last_step_ = m.step;
-  last_sample_ns_ = message.publish_time_ns;
   data_.last_s = t;
   data_.end_s = t + T;
   ++data_.samples;
@@ -142,23 +126,7 @@ void Gatherer::see(const RecordedMessage& message, const Measurement& m) {
 void Gatherer::see(const RecordedMessage& message, const Modulation& modulation) {
   const double t = static_cast<double>(modulation.step) * static_cast<double>(modulation.period_ns) * 1e-9;
   if (!is_wanted(t)) return;
-  data_.arrival.add(static_cast<std::int64_t>(message.log_time_ns - message.publish_time_ns));
-  Stamps& stamps = stamps_of(modulation.step);
-  if (stamps.answer_ns != 0) return;  // answered again
-  stamps.answer_ns = message.publish_time_ns;
-  note_turnaround(stamps);
-}
-
-Gatherer::Stamps& Gatherer::stamps_of(std::uint64_t step) {
-  Stamps& stamps = stamps_[step % stamps_max];
-  if (stamps.step != step) stamps = {step, 0, 0};
-  return stamps;
-}
-
-// Sample and answer come by two readers, in either order.
-void Gatherer::note_turnaround(const Stamps& stamps) {
-  if (stamps.sample_ns != 0 && stamps.answer_ns != 0)
-    data_.turnaround.add(static_cast<std::int64_t>(stamps.answer_ns - stamps.sample_ns));
+  data_.timings.see_answer(modulation.step, message.publish_time_ns, message.log_time_ns);
 }
 
 void Gatherer::note_loss(std::uint64_t from_step, std::uint64_t to_step, double period) {

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "gateway/arbiter.hpp"
+#include "services/recording/step_timings.hpp"
 #include "services/recording/thinning.hpp"
 #include "services/runtime/settings.hpp"
 
@@ -61,9 +62,7 @@ struct PlotData {
   std::optional<Settings> gateway;  ///< of the newest that has said them
   double standing_v_c = 0.0;        ///< of the newest reference, else of the settings
 
-  DurationHistogram interval;    ///< from one sample's publication to the next one's
-  DurationHistogram turnaround;  ///< from a sample's publication to its answer's
-  DurationHistogram arrival;     ///< from the publication of either to its arrival at the recorder
+  StepTimings timings;
 
   std::vector<std::string> incomplete;  ///< what is missing or not drawn, a line each
 };

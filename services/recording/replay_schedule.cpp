@@ -58,30 +58,6 @@ void ReplaySchedule::set_rate(double rate, std::int64_t now_ns) {
   rate_ = rate;
 }
 
-void Lateness::add(std::int64_t late_ns) {
-  const auto value = static_cast<std::uint64_t>(std::max<std::int64_t>(late_ns, 0));
-  // The highest bits alone: bins of 1/32 of their value.
-  const int shift = std::max(static_cast<int>(std::bit_width(value)) - 1 - fine_bits, 0);
-  ++bins_[(static_cast<std::size_t>(shift) << fine_bits) + static_cast<std::size_t>(value >> shift)];
-  ++count_;
-  max_ns_ = std::max(max_ns_, value);
-}
-
-double Lateness::quantile_us(double part) const {
-  std::uint64_t left = static_cast<std::uint64_t>(part * static_cast<double>(count_));
-  for (std::size_t bin = 0; bin < bins_.size(); ++bin) {
-    if (left >= bins_[bin]) {
-      left -= bins_[bin];
-      continue;
-    }
-    // The inverse of add(): above 64 ns a bin begins with its highest bit set.
-    const std::size_t fine = std::size_t{1} << fine_bits;
-    const std::size_t shift = bin < 2 * fine ? 0 : (bin >> fine_bits) - 1;
-    return static_cast<double>((bin - (shift << fine_bits)) << shift) * 1e-3;
-  }
-  return max_us();
-}
-
 std::optional<ReplayCommand> parse_command(const std::string& line) {
   using Kind = ReplayCommand::Kind;
   std::istringstream words(line);

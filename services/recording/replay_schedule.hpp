@@ -1,8 +1,6 @@
 // When what of a recording is due, how late it was, and the commands that change it. Reads no clock.
 #pragma once
 
-#include <array>
-#include <bit>
 #include <cmath>
 #include <cstdint>
 #include <limits>
@@ -42,21 +40,6 @@ class ReplaySchedule {
   double rate_;
   bool paused_;
   std::int64_t at_ns_ = 0, clock_ns_ = 0;  // these two are the same instant
-};
-
-/// How late things were: at most 3 % wrong above 32 ns, in the same memory however many there are.
-class Lateness {
- public:
-  void add(std::int64_t late_ns);
-  std::uint64_t count() const { return count_; }
-  /// 0 … 1; 0 µs where there is nothing.
-  double quantile_us(double part) const;
-  double max_us() const { return static_cast<double>(max_ns_) * 1e-3; }
-
- private:
-  static constexpr int fine_bits = 5;
-  std::array<std::uint64_t, std::size_t{64 - fine_bits} << fine_bits> bins_{};
-  std::uint64_t count_ = 0, max_ns_ = 0;
 };
 
 struct ReplayCommand {

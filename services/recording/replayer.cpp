@@ -164,7 +164,7 @@ void Replayer::hand_out(const RawSample& sample, std::int64_t due) {
   const bool in_time = due != ReplaySchedule::at_once;
   last_ns_ = clock_ns();
   if (in_time) {
-    lateness_.add(last_ns_ - due);
+    lateness_.add(std::max<std::int64_t>(last_ns_ - due, 0));
     if (last_ns_ - due > late_ns) late_.fetch_add(1, std::memory_order_relaxed);
   }
   if (!publish_(sample, in_time)) {

@@ -11,6 +11,7 @@
 #include "services/recording/replay_schedule.hpp"
 #include "services/recording/replay_source.hpp"
 #include "services/recording/ring.hpp"
+#include "services/runtime/duration_histogram.hpp"
 
 namespace weakgrid {
 
@@ -51,7 +52,7 @@ class Replayer {
   Counters counters() const;
 
   // After end().
-  const Lateness& lateness() const { return lateness_; }  ///< of what was due at a time
+  const DurationHistogram& lateness() const { return lateness_; }  ///< of what was due at a time
   double duration_s() const { return static_cast<double>(last_ns_ - begun_ns_) * 1e-9; }
   /// Why the source gave out early; empty = it did not.
   const std::string& fault() const { return fault_; }
@@ -75,7 +76,7 @@ class Replayer {
   std::uint64_t steps_ = 0;  // to make though it is paused
 
   // Of the thread that plays.
-  Lateness lateness_;
+  DurationHistogram lateness_;
   std::int64_t begun_ns_ = 0, last_ns_ = 0;
   std::thread reader_, player_;
 };

@@ -318,8 +318,8 @@ TEST_F(Plot, ShowsWhatControllersDoNotPublishAsTheyHadIt) {
   EXPECT_EQ(data.setpoints[1].verdict, Verdict::outside_envelope);
   ASSERT_EQ(data.marks.size(), 1u);
   EXPECT_EQ(data.marks[0].text, "X_g → 0.25");
-  EXPECT_EQ(data.interval.count(), 2999u);
-  EXPECT_EQ(data.turnaround.count(), 3000u);
+  EXPECT_EQ(data.timings.interval.count(), 2999u);
+  EXPECT_EQ(data.timings.turnaround.count(), 3000u);
 }
 
 TEST_F(Plot, LeavesAGapWhereSamplesAreLostAndSaysSo) {

@@ -124,6 +124,15 @@ TEST(Recorder, OfARunEveryStepIsInTheFileOnceInOrderFromTheFirst) {
   EXPECT_EQ(info.report["state"], "complete");
   EXPECT_EQ(info.report["missing"], 0);
   EXPECT_EQ(info.report["dropped"], 0);
+  ASSERT_EQ(info.report["loops"].size(), 1u);
+  for (const auto& [name, count] : {std::pair{"sample to answer", scenario_steps},
+                                    std::pair{"sample to next sample", scenario_steps - 1}}) {
+    const json& durations = info.report["loops"][0][name];
+    EXPECT_EQ(durations["count"], count) << name;
+    EXPECT_GT(durations["p50_us"], 1.0) << name;
+    EXPECT_LE(durations["p50_us"], durations["p99_us"]) << name;
+    EXPECT_LE(durations["p999_us"], durations["max_us"]) << name;
+  }
   for (const json& writer : info.report["writers"])
     if (writer["topic"] != "weakgrid/health") {
       EXPECT_EQ(writer["first"], 1) << writer.dump();

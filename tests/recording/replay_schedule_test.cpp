@@ -46,27 +46,6 @@ TEST(ReplaySchedule, AnotherRateCountsFromWhereItIs) {
   EXPECT_EQ(schedule.due_ns(13 * s), 5 * s);
 }
 
-TEST(Lateness, QuantilesAreRightToThreePercent) {
-  mcap::Random random{3};
-  for (std::uint32_t round = 0; round < 50; ++round) {
-    Lateness lateness;
-    std::vector<std::int64_t> all(1 + mcap::below(random, 1000));
-    for (std::int64_t& late : all) {
-      late = static_cast<std::int64_t>(random() >> mcap::below(random, 63) >> 1);
-      lateness.add(late);
-    }
-    std::sort(all.begin(), all.end());
-    for (const double part : {0.0, 0.5, 0.99}) {
-      const auto n = static_cast<std::size_t>(part * static_cast<double>(all.size()));
-      const double exact_us = static_cast<double>(all[n]) * 1e-3;
-      EXPECT_LE(lateness.quantile_us(part), exact_us * (1.0 + 1e-12));
-      EXPECT_GE(lateness.quantile_us(part), exact_us / 1.032);
-    }
-    EXPECT_EQ(lateness.max_us(), static_cast<double>(all.back()) * 1e-3);
-  }
-  EXPECT_EQ(Lateness{}.quantile_us(0.5), 0.0);
-}
-
 TEST(ReplayCommand, ALineIsUnderstoodOrRefusedAsAWhole) {
   using Kind = ReplayCommand::Kind;
   EXPECT_EQ(parse_command("pause")->kind, Kind::pause);
