@@ -1,7 +1,6 @@
 // Bus over Fast DDS 2.9. Newer majors differ here and nowhere else.
 #include "services/runtime/bus.hpp"
 
-#include <fastdds/rtps/transport/UDPv4TransportDescriptor.h>
 #include <algorithm>
 #include <cstring>
 #include <fastdds/dds/domain/DomainParticipant.hpp>
@@ -15,6 +14,7 @@
 #include <fastdds/dds/subscriber/Subscriber.hpp>
 #include <fastdds/dds/topic/TypeSupport.hpp>
 
+#include "services/runtime/participant.hpp"
 #include "services/runtime/wire.hpp"
 
 namespace weakgrid {
@@ -98,17 +98,7 @@ struct Bus::Impl {
 
 Bus::Bus(std::uint32_t domain, const std::vector<std::string>& interfaces, const std::string& name)
     : impl_(std::make_unique<Impl>()) {
-  // Fast DDS prints to stdout by default; a refused socket buffer size is all it would have to say.
-  dds::Log::SetVerbosity(dds::Log::Kind::Error);
-  dds::DomainParticipantQos qos;
-  qos.name(name);
-  auto transport = std::make_shared<eprosima::fastdds::rtps::UDPv4TransportDescriptor>();
-  transport->interfaceWhiteList = interfaces;
-  qos.transport().use_builtin_transports = false;
-  qos.transport().user_transports.push_back(transport);
-  // Long enough that a stuttering machine loses nobody; a killed peer is gone after it.
-  qos.wire_protocol().builtin.discovery_config.leaseDuration = Duration_t(5, 0);
-  qos.wire_protocol().builtin.discovery_config.leaseDuration_announcementperiod = Duration_t(1, 0);
+  const dds::DomainParticipantQos qos = participant_qos(name, interfaces);
   auto* factory = dds::DomainParticipantFactory::get_instance();
   impl_->participant =
       made(factory->create_participant(domain, qos), "participant in domain " + std::to_string(domain));

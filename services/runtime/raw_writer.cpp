@@ -1,7 +1,6 @@
 // RawWriter over Fast DDS 2.9. Newer majors differ here, in bus.cpp and in tap.cpp.
 #include "services/runtime/raw_writer.hpp"
 
-#include <fastdds/rtps/transport/UDPv4TransportDescriptor.h>
 #include <fastdds/rtps/writer/WriterDiscoveryInfo.h>
 
 #include <algorithm>
@@ -18,6 +17,7 @@
 #include <sstream>
 
 #include "services/runtime/bus.hpp"
+#include "services/runtime/participant.hpp"
 #include "services/runtime/payload.hpp"
 
 namespace weakgrid {
@@ -148,15 +148,7 @@ struct RawBus::Impl : dds::DomainParticipantListener {
 
 RawBus::RawBus(std::uint32_t domain, const std::vector<std::string>& interfaces, const std::string& name)
     : impl_(std::make_unique<Impl>()) {
-  dds::Log::SetVerbosity(dds::Log::Kind::Error);
-  dds::DomainParticipantQos qos;
-  qos.name(name);
-  auto transport = std::make_shared<eprosima::fastdds::rtps::UDPv4TransportDescriptor>();
-  transport->interfaceWhiteList = interfaces;
-  qos.transport().use_builtin_transports = false;
-  qos.transport().user_transports.push_back(transport);
-  qos.wire_protocol().builtin.discovery_config.leaseDuration = Duration_t(5, 0);
-  qos.wire_protocol().builtin.discovery_config.leaseDuration_announcementperiod = Duration_t(1, 0);
+  const dds::DomainParticipantQos qos = participant_qos(name, interfaces);
   auto* factory = dds::DomainParticipantFactory::get_instance();
   impl_->participant = made(factory->create_participant(domain, qos, impl_.get(), dds::StatusMask::none()),
                             "participant in domain " + std::to_string(domain));

@@ -1,7 +1,6 @@
 // Tap over Fast DDS 2.9. Newer majors differ here and in bus.cpp.
 #include "services/runtime/tap.hpp"
 
-#include <fastdds/rtps/transport/UDPv4TransportDescriptor.h>
 #include <spdlog/spdlog.h>
 
 #include <fastdds/rtps/writer/WriterDiscoveryInfo.h>
@@ -24,6 +23,7 @@
 #include <thread>
 
 #include "services/runtime/announcer.hpp"
+#include "services/runtime/participant.hpp"
 #include "services/runtime/wire.hpp"
 
 namespace weakgrid {
@@ -362,17 +362,8 @@ struct Tap::Impl : dds::DomainParticipantListener {
   }
 
   void start() {
-    dds::Log::SetVerbosity(dds::Log::Kind::Error);
-    dds::DomainParticipantQos qos;
-    qos.name("weakgrid-tap");
-    auto transport = std::make_shared<eprosima::fastdds::rtps::UDPv4TransportDescriptor>();
-    transport->interfaceWhiteList = options.interfaces;
-    // What comes while this process waits for a processor; the system may grant less.
-    transport->receiveBufferSize = 4 << 20;
-    qos.transport().use_builtin_transports = false;
-    qos.transport().user_transports.push_back(transport);
-    qos.wire_protocol().builtin.discovery_config.leaseDuration = Duration_t(5, 0);
-    qos.wire_protocol().builtin.discovery_config.leaseDuration_announcementperiod = Duration_t(1, 0);
+    // What comes while this process waits for a processor.
+    const dds::DomainParticipantQos qos = participant_qos("weakgrid-tap", options.interfaces, 4 << 20);
     auto* factory = dds::DomainParticipantFactory::get_instance();
     // Discovery begins with enable(), when there is somebody to hear it.
     dds::DomainParticipantFactoryQos factory_qos, before;

@@ -196,6 +196,56 @@ TEST(Recorder, RecordsTopicsOfOtherProgramsAlsoInPartitions) {
   }
 }
 
+TEST(Recorder, WhatFindsNoRoomInTheRingIsCountedForItsTopicAndSaidInTheFile) {
+  const test::Domain domain;
+  const Folder folder;
+  Recording recording(domain, folder / "a.mcap", {"--ring-bytes", "65536", "--topic", "some/*"});
+  ASSERT_TRUE(test::wait_until([&] { return recording.is_running(); }));
+  RawBus bus(domain.number(), {"127.0.0.1"}, "test");
+  RawWriter writer(bus, {.topic = "some/burst", .type = "their::Blob"});
+  ASSERT_TRUE(test::wait_until([&] { return writer.matched() == 1; }));
+  // Three fit; the thread that writes looks every 5 ms.
+  constexpr std::uint64_t sent = 200;
+  mcap::Bytes payload{std::byte{0}, std::byte{1}, std::byte{0}, std::byte{0}};
+  payload.resize(20'000);
+  for (std::uint64_t n = 0; n < sent; ++n) ASSERT_TRUE(writer.write(payload));
+  const auto all = [&] {
+    const Health h = recording.health();
+    return counter(h, "messages") + counter(h, "dropped") == sent;
+  };
+  EXPECT_TRUE(test::wait_until(all)) << "every one is either written or counted";
+  recording.program().send(SIGTERM);
+  ASSERT_EQ(recording.program().wait(), 0) << recording.program().err();
+  const Info info = info_of(folder / "a.mcap");
+  EXPECT_EQ(info.status, 1) << "something is missing";
+  const json topic = info.topic("some/burst");
+  EXPECT_GT(topic["dropped"], 0);
+  EXPECT_EQ(topic["messages"].get<std::uint64_t>() + topic["dropped"].get<std::uint64_t>(), sent);
+}
+
+TEST(Recorder, BeginsAnotherFileByTimeAndCompressesAsAsked) {
+  const test::Domain domain;
+  const test::TextFile settings("[grid]\nreactance = 0.3\n");
+  for (const std::string compression : {"lz4", "none"}) {
+    SCOPED_TRACE(compression);
+    const Folder folder;
+    Recording recording(domain, folder / "a.mcap", {"--max-seconds", "1", "--compression", compression});
+    test::Services services(domain, settings.path());
+    services.start_all();
+    ASSERT_TRUE(test::wait_until([&] { return counter(recording.health(), "files") >= 3; }));
+    recording.program().send(SIGTERM);
+    ASSERT_EQ(recording.program().wait(), 0) << recording.program().err();
+    mcap::IndexedReader reader;
+    ASSERT_TRUE(reader.open(folder / "a_0002.mcap").ok());
+    EXPECT_FALSE(reader.summary().chunks.empty());
+    for (const mcap::ChunkIndex& chunk : reader.summary().chunks)
+      EXPECT_EQ(chunk.compression, compression == "none" ? "" : compression);
+    const double duration_s = info_of(folder / "a_0002.mcap").report["duration_s"];
+    EXPECT_GT(duration_s, 0.8);
+    EXPECT_LT(duration_s, 1.5);
+  }
+}
+
 TEST(Recorder, KilledAtAnyMomentItLosesASecondAtMostAndRecoverMakesACleanFile) {
   const test::Domain domain;
   const test::TextFile settings("[grid]\nreactance = 0.3\n");
