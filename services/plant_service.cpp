@@ -173,7 +173,8 @@ class PlantService {
                        {"malformed", modulation_reader_.malformed() + reference_reader_.malformed() +
                                          operation_reader_.malformed()},
                        {"overflow", overflow_},
-                       {"tripped", trip == Trip::none ? 0u : 1u}};
+                       {"tripped", trip == Trip::none ? 0u : 1u},
+                       {"trip_step", trip_step_}};
     return health;
   }
 

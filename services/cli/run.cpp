@@ -199,7 +199,7 @@ class Conductor {
     outcome.summary.saturated = counter(plant, "saturated");
     if (counter(plant, "tripped") != 0) {
       outcome.trip = plant.text;
-      outcome.trip_step = outcome.summary.blocked_at.value_or(0);
+      outcome.trip_step = counter(plant, "trip_step");
     }
   }
 

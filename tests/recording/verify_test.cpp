@@ -135,7 +135,7 @@ TEST(Verify, RestartsOfEveryServiceATripAndAResetReexecuteToTheBit) {
   const test::Domain domain;
   const Folder folder;
   const test::TextFile settings(
-      "[grid]\nreactance = 0.3\n[plant]\npatience_s = 0.05\n[protection]\nholds_max = 100000\n"
+      "[grid]\nreactance = 0.3\n[plant]\npatience_s = 60.0\n[protection]\nholds_max = 100000\n"
       "[scenario]\nend_s = 1000.0\n"
       "[[scenario.event]]\nat_s = 1.0\nquantity = \"grid_reactance\"\nvalue = 0.25\nramp_s = 0.1\n"
       "[[scenario.event]]\nat_s = 3.0\nquantity = \"source_power\"\nvalue = 5.0\n"
