@@ -271,7 +271,7 @@ void Reexecution::finish() {
   for (auto& [number, unit] : units_) {
     RecordedLoop& loop = unit.loop;
     std::erase_if(loop.accepted,
-                  [&](const auto& a) { return unit.inputs.references.count(a.second.id) == 0; });
+                  [&heard = unit.inputs.references](const auto& a) { return heard.count(a.second.id) == 0; });
     for (auto& [step, reference] : loop.accepted) reference = unit.inputs.references.at(reference.id);
     loop.plants = unit.inputs.plants.size();
     if (loop.plants > 0) loop.first_step = unit.inputs.plants.front().first_step;
