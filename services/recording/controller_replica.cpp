@@ -44,6 +44,12 @@ void ControllerReplica::see(std::uint64_t sequence, const Modulation& modulation
   while (at != answers_.begin() && std::prev(at)->sequence >= sequence) --at;
   if (at != answers_.end() && at->sequence == sequence) return;
   answers_.insert(at, {sequence, modulation});
+  samples_since_answer_ = 0;
+}
+
+void ControllerReplica::note_sample() {
+  constexpr std::size_t most = UnitInputs::samples_max / 4;
+  if (++samples_since_answer_ == most) process(true);
 }
 
 void ControllerReplica::see(const ControllerState& state) {

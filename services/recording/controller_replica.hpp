@@ -44,6 +44,8 @@ class ControllerReplica {
 
   void see(std::uint64_t sequence, const Modulation& modulation);
   void see(const ControllerState& state);
+  /// A sample has come, whoever answers it: what this one has answered waits no longer than samples are kept.
+  void note_sample();
   /// Compares what is old enough that all its inputs have been seen; all = there is no more to come.
   void process(bool all);
 
@@ -73,6 +75,7 @@ class ControllerReplica {
   std::size_t plant_ = 0;               // index of the plant listened to; the first that may be, if none is
   bool listens_ = false, changes_plant_ = false;
   bool is_synced_ = false;
+  std::size_t samples_since_answer_ = 0;
   bool has_begun_ = false;
   std::string lost_because_;
   std::uint64_t last_sequence_ = 0, last_step_ = 0, last_sample_step_ = 0;

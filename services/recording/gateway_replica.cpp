@@ -125,7 +125,14 @@ void GatewayReplica::decide(const DecisionMessage& message) {
     catch_up(recorded.standing_reference_id);
   }
   const Request* request = request_of(recorded);
-  if (request == nullptr) return;
+  if (request == nullptr) {
+    // What it led to stands all the same.
+    if (recorded.reference && recorded.reference->id > newest_) {
+      arbiter_->adopt(*recorded.reference);
+      newest_ = recorded.reference->id;
+    }
+    return;
+  }
   const bool is_stale_id = recorded.verdict == Verdict::stale_request && recorded.field == Field::id;
   if (is_late_ && is_stale_id && clients_.count(recorded.client) == 0) {
     add_unchecked(findings_.unchecked, recorded.decided_step,

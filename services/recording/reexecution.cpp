@@ -69,6 +69,7 @@ void Reexecution::see_as(const RecordedMessage& message) {
     if constexpr (std::is_same_v<Message, Measurement>) {
       unit.inputs.see(message.writer->guid, content);
       last_steps_[message.writer->index] = content.step;
+      for (auto& [index, replica] : unit.controllers) replica->note_sample();
     } else if constexpr (std::is_same_v<Message, Request>) {
       unit.requests.emplace(std::pair{content.client, content.id}, content);
     } else if constexpr (std::is_same_v<Message, Modulation>) {

@@ -294,6 +294,23 @@ struct Tap::Impl : dds::DomainParticipantListener {
     return readers;
   }
 
+  // Readers of our own topics are there before any writer is: a client may be gone a few ms after it came.
+  void expect_ours() {
+    const auto expect = [this]<class Message>(const Message*) {
+      using T = Topic<Message>;
+      const bool is_sample = T::qos == QosClass::sample;
+      if (is_wanted(T::name))
+        listen({.of = {T::name, !is_sample, !is_sample, false},
+                .type = typename T::Type().getName(),
+                .keyed = true,
+                .index = unknown_writer,
+                .readers_by_us = 0});
+    };
+#define WEAKGRID_EXPECT(Message) expect(static_cast<const Message*>(nullptr));
+    WEAKGRID_MESSAGES(WEAKGRID_EXPECT)
+#undef WEAKGRID_EXPECT
+  }
+
   dds::Topic* topic_of(const std::string& name, const std::string& type_name, bool keyed) {
     if (dds::TopicDescription* known = participant->lookup_topicdescription(name)) {
       auto* topic = static_cast<dds::Topic*>(known);
@@ -381,6 +398,7 @@ struct Tap::Impl : dds::DomainParticipantListener {
     subscriber_qos.partition().push_back("*");
     subscriber = participant->create_subscriber(subscriber_qos);
     if (subscriber == nullptr) throw BusError("DDS: subscriber cannot be made");
+    expect_ours();
     worker = std::thread([this] { run(); });
   }
 
