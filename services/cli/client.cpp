@@ -27,6 +27,12 @@ Client::Client(std::uint32_t domain, std::uint32_t unit, const std::vector<std::
       requests_(bus_, unit),
       operations_(bus_, unit) {}
 
+Client::~Client() {
+  constexpr Patience moment{300};
+  requests_.wait_until_taken(moment);
+  operations_.wait_until_taken(moment);
+}
+
 Client::Peers Client::peers() const {
   const std::lock_guard lock(mutex_);
   return peers_;

@@ -19,6 +19,8 @@ using Patience = std::chrono::milliseconds;
 class Client {
  public:
   Client(std::uint32_t domain, std::uint32_t unit, const std::vector<std::string>& interfaces);
+  /// Waits a moment until whoever listens, a recorder too, has what was asked.
+  ~Client();
 
   /// The last word of each living instance of each service: (service, instance) → health.
   using Peers = std::map<std::pair<std::string, std::uint64_t>, Health>;
