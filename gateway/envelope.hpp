@@ -6,9 +6,19 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "gateway/grid_box.hpp"
 #include "plant/model.hpp"
 
 namespace weakgrid {
+
+/// How far inside a limit a setpoint must stay; 0 = up to the limit itself. For what the model leaves out.
+struct Reserve {
+  double steady_state = 0.0;  ///< of λ
+  double current = 0.0;
+  double control = 0.0;
+  double pcc_voltage = 0.0;
+  double dc_voltage = 0.0;
+};
 
 /// What a setpoint must respect. The defaults keep the paper's points at X_g = 0.3: p = q = 0.707 is inside
 /// (|v_p| = 1.165), and at p = 0.707 it is the current that ends the range of q downwards, at −0.407.
@@ -18,6 +28,7 @@ struct Limits {
   double v_p_max = 1.2;
   double v_c_min = 1.5;  ///< below √2 the bridge cannot even make the nominal voltage
   double v_c_max = 2.4;  ///< 1.7 √2: room above the paper's 1.3 √2, to be kept below the DC-link trip
+  Reserve reserve;
 };
 
 struct Setpoint {
@@ -36,23 +47,28 @@ enum class Limit : std::uint8_t {
   pcc_voltage_max,
   dc_voltage_min,
   dc_voltage_max,
+  decay,      ///< of small disturbances of the closed loop, 1/s: gateway/loop_decay.hpp
+  transient,  ///< the paper's eq:condicion conservativa: gateway/transient.hpp
 };
-inline constexpr std::size_t limit_count = 8;
+inline constexpr std::size_t limit_count = 8;    ///< of the envelope: all but the last two
+inline constexpr std::size_t margin_count = 10;  ///< all
 
 struct LimitMargin {
   Limit limit = Limit::steady_state;
   bool enforced = true;
-  double margin = 0.0;  ///< distance to the limit, at least 0 = inside; NaN = cannot be told
+  double margin = 0.0;    ///< distance to the limit, at least 0 = inside; NaN = cannot be told
+  double required = 0.0;  ///< what it must be at least
+  Grid grid;              ///< where in the box it is the smallest; of v_c limits any
 };
 
 /// This margin refuses the setpoint. A NaN does.
-constexpr bool violated(const LimitMargin& m) noexcept { return m.enforced && !(m.margin >= 0.0); }
+constexpr bool violated(const LimitMargin& m) noexcept { return m.enforced && !(m.margin >= m.required); }
 
 /// At most one margin per limit, in the order of Limit. Fixed capacity: a decision allocates nothing.
 class Margins {
  public:
   constexpr void add(LimitMargin margin) noexcept {
-    assert(count_ < limit_count);
+    assert(count_ < margin_count);
     margins_[count_++] = margin;
   }
   constexpr std::size_t size() const noexcept { return count_; }
@@ -66,7 +82,7 @@ class Margins {
   }
 
  private:
-  std::array<LimitMargin, limit_count> margins_{};
+  std::array<LimitMargin, margin_count> margins_{};
   std::size_t count_ = 0;
 };
 
@@ -75,8 +91,27 @@ struct Assessment {
   Margins margins;  ///< without a steady state (λ < 0): only λ and the v_c range, the rest does not exist
 };
 
+/// The smallest margin of each limit over all grids of the box, exact: in closed form, no search (README).
 /// Total: NaN in anything read here (all but Converter::C) is never admissible; an infinite limit is none.
+Assessment assess(const GridBox& box, const Converter& converter, const Limits& limits,
+                  const Setpoint& setpoint) noexcept;
+/// The same where the grid is known.
 Assessment assess(const Grid& grid, const Converter& converter, const Limits& limits,
                   const Setpoint& setpoint) noexcept;
+
+/// The smallest of margin − required over the limits of the envelope: at least 0 where assess() admits.
+/// Rises towards the inside; −1 or less where no steady state exists on some grid.
+double slack(const GridBox& box, const Converter& converter, const Limits& limits,
+             const Setpoint& setpoint) noexcept;
+
+/// The extremes of the steady state over a box.
+struct BoxState {
+  bool exists = false;  ///< on every grid; else only λ means anything
+  double lambda = 0.0;  ///< the lowest
+  Grid lambda_grid;
+  double v_p_min = 0.0, v_p_max = 0.0;  ///< |v_p|
+  Grid v_p_min_grid, v_p_max_grid;      ///< |i| = |s|/|v_p| is largest where |v_p| is smallest
+};
+BoxState box_state(const GridBox& box, double omega, SpaceVector s) noexcept;
 
 }  // namespace weakgrid

@@ -99,7 +99,7 @@ Converter converter_of(double X_L) {
 }
 
 Assessment assess_input(const Input& x, const Converter& converter, const Limits& limits, double v_c) {
-  return assess({x.Z_g.re, x.Z_g.im / converter.omega, x.V}, converter, limits, {x.s.re, x.s.im, v_c});
+  return assess(Grid{x.Z_g.re, x.Z_g.im / converter.omega, x.V}, converter, limits, {x.s.re, x.s.im, v_c});
 }
 
 double margin(const Assessment& assessment, Limit limit) { return assessment.margins.find(limit)->margin; }
@@ -216,8 +216,8 @@ TEST(EnvelopeLaw, WiderLimitsNeverRefuseWhatNarrowerOnesAdmit) {
     const Input x = by_power(draw);
     const double v_c = draw.uniform(1.4, 2.5), more = draw.uniform(0.0, 0.5);
     const Limits narrow;
-    const Limits wide{narrow.i_max + more, narrow.v_p_min - more, narrow.v_p_max + more,
-                      narrow.v_c_min - more, narrow.v_c_max + more};
+    const Limits wide{narrow.i_max + more,   narrow.v_p_min - more, narrow.v_p_max + more,
+                      narrow.v_c_min - more, narrow.v_c_max + more, {}};
     const Assessment inner = assess_input(x, converter_of(0.02), narrow, v_c);
     const Assessment outer = assess_input(x, converter_of(0.02), wide, v_c);
     if (inner.admissible) {
@@ -260,7 +260,7 @@ TEST(EnvelopeLaw, ReactivePowerHelpsLambdaOnAnInductiveGrid) {
 TEST(EnvelopeLaw, LambdaCurrentAndMinimumVoltageHoldBetweenTwoSetpointsWhereTheyHold) {
   Draw draw;
   constexpr double none = std::numeric_limits<double>::infinity();
-  const Limits limits{1.0, 0.8, none, -none, none};
+  const Limits limits{1.0, 0.8, none, -none, none, {}};
   std::uint64_t pairs = 0;
   for (std::uint64_t n = 0; n < law_count(); ++n) {
     Input x = by_power(draw), y = x;
@@ -313,7 +313,7 @@ TEST(EnvelopeLaw, HostileValuesNeverGiveASteadyStateThatIsNotFiniteNorAdmitNaN) 
 
     const Converter converter{h[5], h[6], 1.0, h[7]};
     const Assessment assessment =
-        assess({h[0], h[1], h[2]}, converter, {h[8], h[9], h[10], h[11], h[12]}, {h[3], h[4], h[13]});
+        assess(Grid{h[0], h[1], h[2]}, converter, {h[8], h[9], h[10], h[11], h[12], {}}, {h[3], h[4], h[13]});
     if (std::any_of(std::begin(h), std::end(h), [](double value) { return std::isnan(value); })) {
       ASSERT_FALSE(assessment.admissible) << x;
     }

@@ -24,7 +24,7 @@ SteadyState resistive(double p, double q) { return steady_state({R_g, 0.0}, V, {
 
 Assessment assess_at(double p, double q, const Limits& limits = {}) {
   const Converter converter;
-  return assess({0.0, X_g / converter.omega, V}, converter, limits, {p, q, v_c});
+  return assess(Grid{0.0, X_g / converter.omega, V}, converter, limits, {p, q, v_c});
 }
 
 // NaN if the limit was not assessed.
@@ -183,7 +183,7 @@ TEST(PaperEnvelope, RoughControlIsReportedAndNeverRefuses) {
   limits.v_p_max = 10.0;
   // Absorbing reactive power, the bridge stands lower than the PCC: the estimate is too strict.
   const Converter converter;
-  const Assessment assessment = assess({0.0, 0.0, 1.35}, converter, limits, {0.0, -2.0, 1.89});
+  const Assessment assessment = assess(Grid{0.0, 0.0, 1.35}, converter, limits, {0.0, -2.0, 1.89});
   EXPECT_LT(margin(assessment, Limit::control_rough), 0.0);
   EXPECT_GT(margin(assessment, Limit::control), 0.0);
   EXPECT_FALSE(assessment.margins.find(Limit::control_rough)->enforced);
