@@ -19,5 +19,7 @@ void exercise_recover(mcap::ByteView bytes, const std::string& folder);
 /// As each type of message.
 void exercise_payload(mcap::ByteView payload);
 void exercise_settings(std::string_view text);
+/// As a journal, in one piece and byte by byte; and each line as one of its own.
+void exercise_journal(std::string_view text);
 
 }  // namespace weakgrid::fuzz

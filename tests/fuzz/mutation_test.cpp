@@ -1,9 +1,10 @@
-// Recordings, payloads and settings damaged at random: each is refused, or read as far as it goes; none
-// crashes, hangs or breaks a claim. The count is WEAKGRID_LAW_COUNT; WEAKGRID_LAW_FIRST is the seed to begin
-// with.
+// Recordings, payloads, settings and journals damaged at random: each is refused, or read as far as it goes;
+// none crashes, hangs or breaks a claim. The count is WEAKGRID_LAW_COUNT; WEAKGRID_LAW_FIRST is the seed to
+// begin with.
 #include <cstdio>
 #include <ctime>
 
+#include "services/journal/journal_reader.hpp"
 #include "services/runtime/payload.hpp"
 #include "services/runtime/wire_fields.hpp"
 #include "tests/fuzz/exercise.hpp"
@@ -111,6 +112,10 @@ TEST(Mutations, DamagedSettingsAreRefusedOrReadBackTheSame) {
   try_all(settings_seeds(), mcap::law_count(2000), [](const std::string& text) { exercise_settings(text); });
 }
 
+TEST(Mutations, ADamagedJournalIsReadUpToItsFault) {
+  try_all(journal_seeds(), mcap::law_count(20'000), [](const std::string& text) { exercise_journal(text); });
+}
+
 TEST(Mutations, APayloadLongerThanItsTypeCanBeIsRefused) {
   const char* const type = "weakgrid::wire::Measurement";
   Bytes payload = payload_of(1, Measurement{});
@@ -138,6 +143,11 @@ TEST(Mutations, TheInputsThemselvesAreGood) {
     EXPECT_EQ(mcap::content_of(mcap::ByteView{seed}, report).messages.size(), 18U);
     EXPECT_TRUE(report.intact()) << report.text();
     EXPECT_GT(report.chunks, 3U);
+  }
+  for (const std::string& seed : journal_seeds()) {
+    JournalScan scan;
+    scan.feed(seed);
+    EXPECT_TRUE(scan.finish().intact());
   }
   EXPECT_EQ(payload_seeds().size(), 9U);
   for (const Bytes& seed : payload_seeds()) EXPECT_GT(seed.size(), 4U);

@@ -5,6 +5,7 @@
 #include <fstream>
 #include <stdexcept>
 
+#include "services/journal/journal_line.hpp"
 #include "services/recording/idl_text.hpp"
 #include "services/recording/mcap_writer.hpp"
 #include "services/runtime/settings.hpp"
@@ -114,6 +115,23 @@ std::vector<std::string> settings_seeds() {
   scenario.events = {{.at_s = 0.2, .quantity = Quantity::source_power, .value = 1.0, .ramp_s = 0.0}};
   return {"", to_toml(Settings{}), to_toml(settings), "[unit]\nnumber = 0\n",
           "unit = { number = 1, domain = 2 }\n"};
+}
+
+std::vector<std::string> journal_seeds() {
+  std::string text, previous = journal_beginning();
+  std::vector<std::string> seeds;
+  const std::vector<nlohmann::json> bodies{{{"text", "accepted"}, {"p", 0.707}},
+                                           nlohmann::json::object(),
+                                           {{"margins", {{"current", {1e300, "nan"}}}}, {"text", "\n\"µ\""}}};
+  for (const nlohmann::json& body : bodies) {
+    const auto line =
+        journal_line(seeds.size() + 1, 1'000'000'000 * seeds.size(), "decision", body, previous);
+    if (!line) throw std::runtime_error("a seed cannot be written: " + body.dump());
+    text += line->bytes;
+    previous = line->hash;
+    seeds.push_back(text);
+  }
+  return seeds;
 }
 
 }  // namespace weakgrid::fuzz
