@@ -16,8 +16,9 @@ Measurement Emulator::sample() const noexcept {
   const bool mean = configuration_.timing.sampling == Sampling::period_mean;
   return {.step = step_,
           .timing = configuration_.timing,
-          .reference_id = reference_id_,
+          .reference_id = track_.id(),
           .blocked = trip_ != Trip::none,
+          .fallback = track_.fallen_back,
           .v_p = mean ? plant_.v_p_mean() : plant_.v_p(),
           .i = mean ? plant_.i_mean() : plant_.i(),
           .v_c = plant_.v_c(),
@@ -27,15 +28,16 @@ Measurement Emulator::sample() const noexcept {
 void Emulator::enter_step() noexcept {
   surroundings_.advance_to(step_);
   if (trip_ != Trip::none) surroundings_.open_source();
-  take_pending();
+  follow_references();
 }
 
 // An order that comes while the source is open waits for the reset.
-void Emulator::take_pending() noexcept {
-  if (trip_ != Trip::none || !pending_ || pending_->effective_step > step_) return;
-  surroundings_.dispatch(pending_->p, step_, pending_->ramp_steps);
-  reference_id_ = pending_->id;
-  pending_.reset();
+void Emulator::follow_references() noexcept {
+  if (trip_ != Trip::none) return;
+  while (const auto move = track_.advance_to(step_, false)) {
+    surroundings_.dispatch(move->p, step_, move->ramp_steps);
+    if (move->is_fallback) ++counters_.lease_ends;
+  }
 }
 
 void Emulator::advance(std::optional<SpaceVector> mu) noexcept {
@@ -62,8 +64,7 @@ void Emulator::advance(std::optional<SpaceVector> mu) noexcept {
       trip_ = Trip::modulation_lost;
     if (trip_ != Trip::none) {
       trip_step_ = step_ + 1;
-      reference_id_ = 0;
-      pending_.reset();
+      track_.cancel();
       plant_.restart(configuration_.v_c, surroundings_.grid());
     }
   } else {
@@ -74,10 +75,8 @@ void Emulator::advance(std::optional<SpaceVector> mu) noexcept {
 }
 
 bool Emulator::accept(const Reference& reference) noexcept {
-  if (!is_plausible(reference) || reference.id <= newest_reference_id_) return false;
-  newest_reference_id_ = reference.id;
-  pending_ = reference;
-  take_pending();
+  if (!track_.accept(reference)) return false;
+  follow_references();
   return true;
 }
 
@@ -87,7 +86,7 @@ void Emulator::reset_trip() noexcept {
   consecutive_holds_ = 0;
   plant_.restart(configuration_.v_c, surroundings_.grid());
   mu_next_ = plant_.mu_turned();
-  take_pending();
+  follow_references();
 }
 
 }  // namespace weakgrid

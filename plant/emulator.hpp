@@ -21,8 +21,9 @@ struct EmulatorConfiguration {
 };
 
 struct EmulatorCounters {
-  std::uint64_t holds = 0;    ///< periods without a modulation
-  std::uint64_t refused = 0;  ///< modulations not finite or beyond 1/√2: held instead
+  std::uint64_t holds = 0;       ///< periods without a modulation
+  std::uint64_t refused = 0;     ///< modulations not finite or beyond 1/√2: held instead
+  std::uint64_t lease_ends = 0;  ///< times that a fallback began since a lease was over
 };
 
 /// Pure, heap-free, noexcept: the same inputs give the same bits.
@@ -36,8 +37,8 @@ class Emulator {
   /// Ends step k: mu answers sample k and takes effect `delay` steps later; none = hold, counted.
   void advance(std::optional<SpaceVector> mu) noexcept;
 
-  /// A new order: the source ramps to p from effective_step on (at once if that has passed). The last one
-  /// counts. Refused (false): not plausible, or not newer than the one known.
+  /// A new order: the source ramps to p from effective_step on (at once if that has passed), and to the
+  /// fallback from lease_end_step on. The last one counts. Refused (false) as ReferenceTrack::accept says.
   bool accept(const Reference& reference) noexcept;
 
   /// After a trip: idle again, source at 0 until the next reference. Nothing happens without a trip.
@@ -47,21 +48,19 @@ class Emulator {
   Trip trip() const noexcept { return trip_; }
   std::uint64_t trip_step() const noexcept { return trip_step_; }
   const EmulatorCounters& counters() const noexcept { return counters_; }
-  std::uint32_t newest_reference_id() const noexcept { return newest_reference_id_; }
+  std::uint32_t newest_reference_id() const noexcept { return track_.newest_id; }
   const Grid& grid() const noexcept { return surroundings_.grid(); }
 
  private:
   void enter_step() noexcept;
-  void take_pending() noexcept;
+  void follow_references() noexcept;
 
   EmulatorConfiguration configuration_;
   Plant plant_;
   Surroundings surroundings_;
   std::uint64_t step_ = 0;
   SpaceVector mu_next_;  // in force from the next step on, with delay 1
-  std::optional<Reference> pending_;
-  std::uint32_t reference_id_ = 0;
-  std::uint32_t newest_reference_id_ = 0;
+  ReferenceTrack track_;
   std::uint32_t consecutive_holds_ = 0;
   Trip trip_ = Trip::none;
   std::uint64_t trip_step_ = 0;

@@ -143,6 +143,7 @@ class PlantService {
     trip_.store(emulator_.trip(), std::memory_order_relaxed);
     trip_step_.store(emulator_.trip_step(), std::memory_order_relaxed);
     reference_id_.store(emulator_.newest_reference_id(), std::memory_order_relaxed);
+    lease_ends_.store(emulator_.counters().lease_ends, std::memory_order_relaxed);
     holds_.store(emulator_.counters().holds, std::memory_order_relaxed);
     refused_modulations_.store(emulator_.counters().refused, std::memory_order_relaxed);
   }
@@ -173,6 +174,7 @@ class PlantService {
                        {"malformed", modulation_reader_.malformed() + reference_reader_.malformed() +
                                          operation_reader_.malformed()},
                        {"overflow", overflow_},
+                       {"lease_ends", lease_ends_},
                        {"tripped", trip == Trip::none ? 0u : 1u},
                        {"trip_step", trip_step_}};
     return health;
@@ -190,7 +192,7 @@ class PlantService {
   std::atomic<bool> stopping_{false};
   std::atomic<ServiceState> state_{ServiceState::starting};
   std::atomic<Trip> trip_{Trip::none};
-  std::atomic<std::uint64_t> step_{0}, trip_step_{0}, holds_{0}, resends_{0}, saturated_{0};
+  std::atomic<std::uint64_t> step_{0}, trip_step_{0}, holds_{0}, resends_{0}, saturated_{0}, lease_ends_{0};
   std::atomic<std::uint64_t> refused_modulations_{0}, refused_references_{0}, refused_operations_{0},
       foreign_{0}, overflow_{0};
   std::atomic<std::uint32_t> reference_id_{0};
