@@ -14,6 +14,13 @@ static_assert(saturated == wire::SATURATED && bad_measurement == wire::BAD_MEASU
 static_assert(given_p == wire::GIVEN_ACTIVE_POWER && given_q == wire::GIVEN_REACTIVE_POWER &&
               given_v_c == wire::GIVEN_DC_VOLTAGE);
 
+constexpr std::uint32_t state_shift = 5;
+static_assert(static_cast<std::uint32_t>(UnitState::holding) << state_shift == wire::STATE_HOLDING &&
+              static_cast<std::uint32_t>(UnitState::tripped) << state_shift == wire::STATE_TRIPPED &&
+              static_cast<std::uint32_t>(UnitState::off) << state_shift == wire::STATE_OFF &&
+              static_cast<std::uint32_t>(UnitState::precharge) << state_shift == wire::STATE_PRECHARGE &&
+              static_cast<std::uint32_t>(UnitState::ready) << state_shift == wire::STATE_READY);
+
 std::string cut(const std::string& text, std::size_t most) { return text.substr(0, most); }
 
 template <class To, class From>
@@ -46,6 +53,7 @@ void encode(const Measurement& m, wire::Measurement& out) {
   if (m.timing.delay == 1) flags |= wire::DELAY_ONE;
   if (m.blocked) flags |= wire::BLOCKED;
   if (m.fallback) flags |= wire::SOURCE_FALLBACK;
+  flags |= static_cast<std::uint32_t>(m.state) << state_shift;
   out.period_ns(static_cast<std::uint32_t>(m.timing.period_ns));
   out.flags(flags);
   out.reference_id(m.reference_id);
@@ -60,8 +68,8 @@ void encode(const Measurement& m, wire::Measurement& out) {
 }
 
 bool decode(const wire::Measurement& in, Measurement& m) {
-  constexpr std::uint32_t known =
-      wire::HOLD_STILL | wire::PERIOD_MEAN | wire::DELAY_ONE | wire::BLOCKED | wire::SOURCE_FALLBACK;
+  constexpr std::uint32_t known = wire::HOLD_STILL | wire::PERIOD_MEAN | wire::DELAY_ONE | wire::BLOCKED |
+                                  wire::SOURCE_FALLBACK | wire::STATE_MASK;
   const std::uint32_t flags = in.flags();
   if ((flags & ~known) != 0 || static_cast<std::uint64_t>(in.time_ns()) != in.step() * in.period_ns())
     return false;
@@ -73,6 +81,8 @@ bool decode(const wire::Measurement& in, Measurement& m) {
   m.reference_id = in.reference_id();
   m.blocked = (flags & wire::BLOCKED) != 0;
   m.fallback = (flags & wire::SOURCE_FALLBACK) != 0;
+  if (!decode_enum((flags & wire::STATE_MASK) >> state_shift, UnitState::ready, m.state)) return false;
+  if (m.blocked != is_blocked(m.state)) return false;
   m.v_p = {in.pcc_voltage_alpha(), in.pcc_voltage_beta()};
   m.i = {in.current_alpha(), in.current_beta()};
   m.v_c = in.dc_voltage();
@@ -291,7 +301,7 @@ bool decode(const wire::Operation& in, Operation& m) {
   m.client = in.client();
   m.id = in.id();
   m.until_step = in.until_step();
-  return decode_enum(in.kind(), OperationKind::reset_trip, m.kind);
+  return decode_enum(in.kind(), OperationKind::stop, m.kind);
 }
 
 void encode(const Health& m, wire::Health& out) {

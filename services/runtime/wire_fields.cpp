@@ -48,7 +48,9 @@ Value value_of(wire::LimitName value) {
   return enumerator(value, {"STEADY_STATE", "CURRENT", "CONTROL", "CONTROL_ROUGH", "PCC_VOLTAGE_MIN",
                             "PCC_VOLTAGE_MAX", "DC_VOLTAGE_MIN", "DC_VOLTAGE_MAX"});
 }
-Value value_of(wire::OperationKind value) { return enumerator(value, {"ADVANCE", "RESET_TRIP"}); }
+Value value_of(wire::OperationKind value) {
+  return enumerator(value, {"ADVANCE", "RESET_TRIP", "START", "STOP"});
+}
 Value value_of(wire::ServiceState value) {
   return enumerator(value, {"STARTING", "RUNNING", "WAITING", "BLOCKED_BY_TRIP", "STOPPED"});
 }

@@ -79,7 +79,8 @@ Measurement random_measurement(Random& random) {
   m.timing.hold = random.flag() ? Hold::still : Hold::turning;
   m.timing.sampling = random.flag() ? Sampling::period_mean : Sampling::instantaneous;
   m.reference_id = random.whole<std::uint32_t>();
-  m.blocked = random.flag();
+  m.state = static_cast<UnitState>(random.up_to(5));
+  m.blocked = is_blocked(m.state);
   m.fallback = random.flag();
   m.v_p = {random.real(), random.real()};
   m.i = {random.real(), random.real()};
@@ -98,6 +99,7 @@ TEST(Wire, MeasurementIsReceivedAsSentBitForBit) {
     EXPECT_EQ(received.reference_id, sent.reference_id);
     EXPECT_EQ(received.blocked, sent.blocked);
     EXPECT_EQ(received.fallback, sent.fallback);
+    EXPECT_EQ(received.state, sent.state);
     EXPECT_SAME_VECTOR(received.v_p, sent.v_p);
     EXPECT_SAME_VECTOR(received.i, sent.i);
     EXPECT_SAME_BITS(received.v_c, sent.v_c);
@@ -321,13 +323,14 @@ TEST(Wire, AnyOtherBitInASampleOrRequestGivesAnotherFingerprint) {
         other.*v.*x = std::bit_cast<double>(bits(m.*v.*x) ^ std::uint64_t{1} << random.up_to(63));
         EXPECT_NE(fingerprint(other), fingerprint(m));
       }
-    Measurement others[6] = {m, m, m, m, m, m};
+    Measurement others[7] = {m, m, m, m, m, m, m};
     others[0].step ^= std::uint64_t{1} << random.up_to(63);
     others[1].reference_id ^= 1u << random.up_to(31);
     others[2].blocked = !m.blocked;
     others[3].timing.delay = m.timing.delay == 1 ? 0 : 1;
     others[4].timing.period_ns ^= 1 << random.up_to(30);
     others[5].fallback = !m.fallback;
+    others[6].state = static_cast<UnitState>((static_cast<std::uint32_t>(m.state) + 1 + random.up_to(4)) % 6);
     for (const Measurement& other : others) EXPECT_NE(fingerprint(other), fingerprint(m));
     ASSERT_FALSE(HasFailure()) << "round " << n;
   }
@@ -338,7 +341,7 @@ TEST(Wire, OperationIsReceivedAsSent) {
   for (int n = 0; n < rounds; ++n) {
     const Operation sent{.client = random.whole<std::uint64_t>(),
                          .id = random.whole<std::uint32_t>(),
-                         .kind = static_cast<OperationKind>(random.up_to(1)),
+                         .kind = static_cast<OperationKind>(random.up_to(3)),
                          .until_step = random.whole<std::uint64_t>()};
     const Operation received = sent_and_received(sent);
     EXPECT_EQ(received.client, sent.client);
@@ -430,12 +433,28 @@ TEST(Wire, TextsLongerThanTheContractAreCut) {
 
 TEST(Wire, MeasurementWithAnUnknownFlagIsRefused) {
   Random random;
-  for (std::uint32_t bit = 5; bit < 32; ++bit) {
+  for (std::uint32_t bit = 8; bit < 32; ++bit) {
     wire::Measurement wire;
     encode(random_measurement(random), wire);
     wire.flags(wire.flags() | 1u << bit);
     Measurement m;
     EXPECT_FALSE(decode(wire, m)) << "bit " << bit;
+  }
+}
+
+TEST(Wire, MeasurementWhoseStateIsNoneOrDoesNotGoWithBlockedIsRefused) {
+  Random random;
+  for (int n = 0; n < rounds; ++n) {
+    wire::Measurement wire;
+    encode(random_measurement(random), wire);
+    const std::uint32_t right = wire.flags();
+    Measurement m;
+    wire.flags(right ^ wire::BLOCKED);
+    EXPECT_FALSE(decode(wire, m)) << right;
+    for (const std::uint32_t none : {192u, 224u}) {
+      wire.flags((right & ~static_cast<std::uint32_t>(wire::STATE_MASK)) | none);
+      EXPECT_FALSE(decode(wire, m)) << right;
+    }
   }
 }
 
@@ -477,9 +496,9 @@ TEST(Wire, EnumeratorOutOfRangeIsRefused) {
   expect_enumerators_refused<wire::SetpointDecision>(
       decision, wire::FIELD_EFFECTIVE_STEP,
       [](auto& wire, std::uint32_t value) { wire.field(static_cast<wire::RequestField>(value)); });
-  expect_enumerators_refused<wire::Operation>(
-      Operation{}, wire::RESET_TRIP,
-      [](auto& wire, std::uint32_t value) { wire.kind(static_cast<wire::OperationKind>(value)); });
+  expect_enumerators_refused<wire::Operation>(Operation{}, wire::STOP, [](auto& wire, std::uint32_t value) {
+    wire.kind(static_cast<wire::OperationKind>(value));
+  });
   expect_enumerators_refused<wire::Health>(Health{}, wire::STOPPED, [](auto& wire, std::uint32_t value) {
     wire.state(static_cast<wire::ServiceState>(value));
   });
@@ -509,6 +528,8 @@ TEST(Wire, EveryEnumeratorHasItsNameInTheContract) {
   EXPECT_EQ(static_cast<std::uint32_t>(Limit::dc_voltage_max), wire::DC_VOLTAGE_MAX);
   EXPECT_EQ(static_cast<std::uint32_t>(OperationKind::advance), wire::ADVANCE);
   EXPECT_EQ(static_cast<std::uint32_t>(OperationKind::reset_trip), wire::RESET_TRIP);
+  EXPECT_EQ(static_cast<std::uint32_t>(OperationKind::start), wire::START);
+  EXPECT_EQ(static_cast<std::uint32_t>(OperationKind::stop), wire::STOP);
   EXPECT_EQ(static_cast<std::uint32_t>(ServiceState::starting), wire::STARTING);
   EXPECT_EQ(static_cast<std::uint32_t>(ServiceState::running), wire::RUNNING);
   EXPECT_EQ(static_cast<std::uint32_t>(ServiceState::waiting), wire::WAITING);
