@@ -41,7 +41,7 @@ Controller::Controller(const ControllerConfiguration& configuration)
 void Controller::reset() noexcept {
   started_ = false;
   last_ = {};
-  shaper_.idle();
+  shaper_.forget();
 }
 
 ControllerState Controller::state() const noexcept {
@@ -187,6 +187,12 @@ SpaceVector Controller::evaluate(const Measurement& m, SpaceVector v_p, SpaceVec
   return mu;
 }
 
+void Controller::note_reference(Modulation& out) const noexcept {
+  const ReferenceTrack& track = shaper_.state().track;
+  out.reference_id = track.id();
+  if (track.fallen_back) out.status |= fallback;
+}
+
 Modulation Controller::step(const Measurement& m) noexcept {
   if (started_ && m.step <= last_.step) {
     // One sample from far ahead must not silence the controller: a row of older ones is the true stream.
@@ -198,7 +204,7 @@ Modulation Controller::step(const Measurement& m) noexcept {
   Modulation out;
   out.step = m.step;
   out.period_ns = static_cast<std::uint32_t>(configuration_.timing.period_ns);
-  out.newest_reference_id = shaper_.state().newest_id;
+  out.newest_reference_id = shaper_.state().track.newest_id;
   out.measurement_fingerprint = fingerprint(m);
   if (!(m.timing == configuration_.timing)) out.status |= wrong_timing;
   if (!in_range(m)) out.status |= bad_measurement;
@@ -216,7 +222,7 @@ Modulation Controller::step(const Measurement& m) noexcept {
     if (!started_) state_ = {};
     out.mu = state_.command;
     turn_on();
-    out.reference_id = shaper_.state().id;
+    note_reference(out);
     last_ = out;
     return out;
   }
@@ -234,7 +240,9 @@ Modulation Controller::step(const Measurement& m) noexcept {
     i = i + (0.5 * constants_.T) * ((m.v_c * state_.mu_before - v_p) / configuration_.converter.L -
                                     configuration_.converter.omega * times_j(i));
   }
-  if (!m.blocked) shaper_.advance_to(m.step, starting);
+  // Who has seen the unit blocked until now starts with the source, and is no joiner.
+  const bool was_blocked = !started_ && (last_.status & started) != 0 && m.step - last_.step <= max_gap;
+  if (!m.blocked) shaper_.advance_to(m.step, starting && !was_blocked);
 
   const SpaceVector command = evaluate(m, v_p, i) / constants_.held;
   const double magnitude2 = abs2(command);
@@ -258,7 +266,7 @@ Modulation Controller::step(const Measurement& m) noexcept {
   state_.mu_before = constants_.turn * (delayed ? state_.mu : as_turning);
   state_.mu = as_turning;
   state_.command = constants_.turn * out.mu;
-  out.reference_id = shaper_.state().id;
+  note_reference(out);
   started_ = !m.blocked;
   last_ = out;
   return out;

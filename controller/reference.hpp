@@ -1,8 +1,6 @@
 // The references q_r and v_cr with exact derivatives: raised-cosine ramps between accepted setpoints.
 #pragma once
 
-#include <optional>
-
 #include "plant/model.hpp"
 
 namespace weakgrid {
@@ -19,39 +17,32 @@ class ReferenceShaper {
  public:
   struct State {
     Ramp q, v_c;
-    std::optional<Reference> pending;
-    std::uint32_t id = 0;         ///< in force, 0 = none
-    std::uint32_t newest_id = 0;  ///< accepted
+    ReferenceTrack track;
   };
 
   ReferenceShaper(double v_c, double T) noexcept : idle_v_c_(v_c), T_(T) { idle(); }
 
   /// q_r = 0 and v_cr as at the start; a pending reference stays pending.
   void idle() noexcept {
-    state_.q = {0.0, 0.0, 0.0, 0, 0};
-    state_.v_c = {idle_v_c_, idle_v_c_, 0.0, 0, 0};
-    state_.id = 0;
+    stand();
+    state_.track.idle();
   }
 
-  /// Waits for its effective_step. Refused (false): not finite, out of range, or not newer than the newest
-  /// known.
-  bool accept(const Reference& reference) noexcept {
-    if (!is_plausible(reference) || reference.id <= state_.newest_id) return false;
-    state_.newest_id = reference.id;
-    state_.pending = reference;
-    return true;
+  /// The same for another unit.
+  void forget() noexcept {
+    stand();
+    state_.track.forget();
   }
 
-  /// Puts the pending reference in force once its step has come. Steps rise.
+  bool accept(const Reference& reference) noexcept { return state_.track.accept(reference); }
+
+  /// Begins what has come by `step`: a pending order, or the fallback once a lease is over. Steps rise.
   /// A joiner (a controller that starts while the unit runs) finds the ramp where the others are.
   void advance_to(std::uint64_t step, bool joins) noexcept {
-    const std::optional<Reference>& pending = state_.pending;
-    if (!pending || pending->effective_step > step) return;
-    const std::uint64_t start = joins ? pending->effective_step : step;
-    state_.q = state_.q.towards(pending->q, start, pending->ramp_steps);
-    state_.v_c = state_.v_c.towards(pending->v_c, start, pending->ramp_steps);
-    state_.id = pending->id;
-    state_.pending.reset();
+    while (const auto move = state_.track.advance_to(step, joins)) {
+      state_.q = state_.q.towards(move->q, move->start, move->ramp_steps);
+      state_.v_c = state_.v_c.towards(move->v_c, move->start, move->ramp_steps);
+    }
   }
 
   ShapedReference at(std::uint64_t step) const noexcept {
@@ -64,6 +55,11 @@ class ReferenceShaper {
   void restore(const State& state) noexcept { state_ = state; }
 
  private:
+  void stand() noexcept {
+    state_.q = {0.0, 0.0, 0.0, 0, 0};
+    state_.v_c = {idle_v_c_, idle_v_c_, 0.0, 0, 0};
+  }
+
   double idle_v_c_;
   double T_;
   State state_;

@@ -4,8 +4,11 @@
 
 #include <bit>
 #include <cmath>
+#include <cstddef>
 #include <cstdint>
 #include <optional>
+
+#include "plant/reference.hpp"
 
 namespace weakgrid {
 
@@ -102,12 +105,33 @@ struct Timing {
 
 constexpr double period_s(const Timing& timing) { return static_cast<double>(timing.period_ns) * 1e-9; }
 
+/// What a unit does. Its numbers are the wire's; 0 is the usual.
+enum class UnitState : std::uint8_t {
+  running,
+  holding,    ///< runs, with the last modulation: the answer to the last sample has not come
+  tripped,    ///< bridge blocked, source open, until it is reset
+  off,        ///< bridge blocked, source open, DC link discharged or on its way there
+  precharge,  ///< bridge blocked, source open, the DC voltage rises
+  ready,      ///< bridge blocked, source open, waits for the controller
+};
+
+constexpr bool is_blocked(UnitState state) {
+  return state != UnitState::running && state != UnitState::holding;
+}
+
+constexpr const char* name(UnitState state) noexcept {
+  constexpr const char* names[] = {"running", "holding", "tripped", "off", "precharge", "ready"};
+  return names[static_cast<std::size_t>(state)];
+}
+
 /// Sample k: taken at t = k·T, just before μ is updated.
 struct Measurement {
   std::uint64_t step = 0;
   Timing timing;
   std::uint32_t reference_id = 0;  ///< the reference that the source follows, 0 = none yet
-  bool blocked = false;            ///< the bridge is blocked and the source open
+  bool blocked = false;            ///< the bridge is blocked and the source open: is_blocked(state)
+  bool fallback = false;           ///< the source follows the fallback of that reference: its lease is over
+  UnitState state = UnitState::running;
   SpaceVector v_p;
   SpaceVector i;
   double v_c = 0.0;
@@ -138,6 +162,8 @@ constexpr std::uint32_t fingerprint(const Measurement& m) {
                         m.timing.delay == 1, m.blocked};
   std::uint64_t word = m.reference_id;
   for (const bool flag : flags) word = word << 1 | (flag ? 1u : 0u);
+  // Above the rest: a sample of a unit that runs and follows its order keeps the number it always had.
+  word |= std::uint64_t{m.fallback} << 36 | std::uint64_t{static_cast<std::uint8_t>(m.state)} << 37;
   f.add(word);
   for (const double number : {m.v_p.re, m.v_p.im, m.i.re, m.i.im, m.v_c, m.p_i}) f.add(number);
   return f.value();
@@ -151,6 +177,7 @@ enum ModulationStatus : std::uint32_t {
   gap = 8,
   wrong_timing = 16,
   started = 32,
+  fallback = 64,  ///< for information: the answer is as good as any
 };
 
 /// The answer to sample k: μ as it stands in αβ at the instant (k + delay)·T at which it takes effect.
@@ -168,22 +195,6 @@ struct Modulation {
 constexpr std::optional<SpaceVector> command(const Modulation& modulation) {
   if ((modulation.status & (bad_measurement | wrong_timing)) != 0) return std::nullopt;
   return modulation.mu;
-}
-
-/// What the gateway orders: p goes to the source, q and v_c to the controller. Both ramp from what stands.
-struct Reference {
-  std::uint32_t id = 0;  ///< 1, 2, … in the order of issue
-  double p = 0.0;
-  double q = 0.0;
-  double v_c = 0.0;
-  std::uint64_t effective_step = 0;
-  std::uint32_t ramp_steps = 0;
-};
-
-/// Every field is a number that a unit could be ordered to. Source and controller refuse the rest alike, so
-/// that neither follows half an order.
-inline bool is_plausible(const Reference& r) {
-  return std::abs(r.p) <= 10.0 && std::abs(r.q) <= 10.0 && r.v_c > 0.0 && r.v_c <= 10.0;
 }
 
 /// A quantity on its way: raised cosine over `steps` steps from `start`, then `to`. A ramp that begins while

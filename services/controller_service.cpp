@@ -68,10 +68,14 @@ class ControllerService {
       unsent_.fetch_add(1, std::memory_order_relaxed);
     step_.store(measurement.step, std::memory_order_relaxed);
     running_.store(true, std::memory_order_relaxed);
-    count(modulation.status);
+    count(modulation);
   }
 
-  void count(std::uint32_t status) noexcept {
+  void count(const Modulation& modulation) noexcept {
+    const std::uint32_t status = modulation.status;
+    const std::uint32_t fallen_back = (status & fallback) != 0 ? modulation.reference_id : 0;
+    if (fallen_back != 0 && fallen_back != fallen_back_) lease_ends_.fetch_add(1, std::memory_order_relaxed);
+    fallen_back_ = fallen_back;
     status_.store(status, std::memory_order_relaxed);
     if (status == 0) return;
     for (std::size_t bit = 0; bit < counts_.size(); ++bit)
@@ -94,10 +98,11 @@ class ControllerService {
     if (health.text != logged_ && (status & (wrong_timing | bad_measurement)) != 0)
       spdlog::error("{}", health.text);
     logged_ = health.text;
-    constexpr const char* names[] = {"saturated", "bad_measurement", "low_voltage",
-                                     "gap",       "wrong_timing",    "started"};
+    constexpr const char* names[] = {"saturated",    "bad_measurement", "low_voltage", "gap",
+                                     "wrong_timing", "started",         "fallback"};
     for (std::size_t bit = 0; bit < counts_.size(); ++bit)
       health.counters.push_back({names[bit], counts_[bit]});
+    health.counters.push_back({"lease_ends", lease_ends_});
     health.counters.push_back({"stale", stale_});
     health.counters.push_back({"unsent", unsent_});
     health.counters.push_back({"refused_references", refused_references_});
@@ -112,8 +117,10 @@ class ControllerService {
   Mailbox<Reference, 16> references_;
   std::atomic<bool> running_{false};
   std::atomic<std::uint32_t> status_{0}, newest_heard_{0};
-  std::atomic<std::uint64_t> step_{0}, stale_{0}, unsent_{0}, foreign_{0}, refused_references_{0};
-  std::array<std::atomic<std::uint64_t>, 6> counts_{};
+  std::atomic<std::uint64_t> step_{0}, stale_{0}, unsent_{0}, foreign_{0}, refused_references_{0},
+      lease_ends_{0};
+  std::array<std::atomic<std::uint64_t>, 7> counts_{};
+  std::uint32_t fallen_back_ = 0;  // the reference whose fallback was followed at the last sample, 0 = none
   std::string logged_;
 
   Bus bus_;

@@ -111,14 +111,29 @@ class PlantService {
     while (const auto reference = references_.take())
       if (!emulator_.accept(*reference)) refused_references_.fetch_add(1, std::memory_order_relaxed);
     while (const auto operation = operations_.take()) {
-      if (operation->kind == OperationKind::reset_trip)
-        emulator_.reset_trip();
-      else if (operation->until_step >= emulator_.step())
-        until_ = operation->until_step;
-      else  // nobody who knows this unit asks it to wait in the past
-        refused_operations_.fetch_add(1, std::memory_order_relaxed);
+      if (obey(*operation)) continue;
+      refused_operations_.fetch_add(1, std::memory_order_relaxed);
+      spdlog::warn("client {:x}: {} is refused at step {}, {}", operation->client, name(operation->kind),
+                   emulator_.step(), name(emulator_.state()));
     }
     publish();
+  }
+
+  bool obey(const Operation& operation) {
+    switch (operation.kind) {
+      case OperationKind::advance:
+        // Nobody who knows this unit asks it to wait in the past.
+        if (operation.until_step < emulator_.step()) return false;
+        until_ = operation.until_step;
+        return true;
+      case OperationKind::reset_trip:
+        return emulator_.reset_trip();
+      case OperationKind::start:
+        return emulator_.start();
+      case OperationKind::stop:
+        return emulator_.stop();
+    }
+    return false;
   }
 
   void pause() {
@@ -140,9 +155,11 @@ class PlantService {
   // For the health thread.
   void publish() noexcept {
     step_.store(emulator_.step(), std::memory_order_relaxed);
+    unit_state_.store(emulator_.state(), std::memory_order_relaxed);
     trip_.store(emulator_.trip(), std::memory_order_relaxed);
     trip_step_.store(emulator_.trip_step(), std::memory_order_relaxed);
     reference_id_.store(emulator_.newest_reference_id(), std::memory_order_relaxed);
+    lease_ends_.store(emulator_.counters().lease_ends, std::memory_order_relaxed);
     holds_.store(emulator_.counters().holds, std::memory_order_relaxed);
     refused_modulations_.store(emulator_.counters().refused, std::memory_order_relaxed);
   }
@@ -153,12 +170,15 @@ class PlantService {
     health.step = step_;
     health.reference_id = reference_id_;
     const Trip trip = trip_;
+    const UnitState unit_state = unit_state_;
     if (trip != Trip::none) {
       if (health.state == ServiceState::running) health.state = ServiceState::blocked_by_trip;
       health.text = fmt::format("tripped: {} at step {}", name(trip), trip_step_.load());
       if (trip != logged_trip_) spdlog::error("{}", health.text);
     } else if (health.state == ServiceState::starting) {
       health.text = "waits for a controller";
+    } else if (is_blocked(unit_state)) {
+      health.text = name(unit_state);
     }
     logged_trip_ = trip;
     const std::lock_guard lock(digest_mutex_);
@@ -173,6 +193,8 @@ class PlantService {
                        {"malformed", modulation_reader_.malformed() + reference_reader_.malformed() +
                                          operation_reader_.malformed()},
                        {"overflow", overflow_},
+                       {"lease_ends", lease_ends_},
+                       {"unit_state", static_cast<std::uint64_t>(unit_state)},
                        {"tripped", trip == Trip::none ? 0u : 1u},
                        {"trip_step", trip_step_}};
     return health;
@@ -189,8 +211,9 @@ class PlantService {
   Semaphore wake_;
   std::atomic<bool> stopping_{false};
   std::atomic<ServiceState> state_{ServiceState::starting};
+  std::atomic<UnitState> unit_state_{UnitState::running};
   std::atomic<Trip> trip_{Trip::none};
-  std::atomic<std::uint64_t> step_{0}, trip_step_{0}, holds_{0}, resends_{0}, saturated_{0};
+  std::atomic<std::uint64_t> step_{0}, trip_step_{0}, holds_{0}, resends_{0}, saturated_{0}, lease_ends_{0};
   std::atomic<std::uint64_t> refused_modulations_{0}, refused_references_{0}, refused_operations_{0},
       foreign_{0}, overflow_{0};
   std::atomic<std::uint32_t> reference_id_{0};

@@ -109,7 +109,7 @@ bool ControllerReplica::fill_gap(const Answer& answer) {
   const Modulation& next = answer.modulation;
   const std::uint64_t missing = answer.sequence - last_sequence_ - 1;
   if (!listens_ || next.step <= last_step_ || next.step - last_step_ - 1 != missing) return false;
-  if (next.newest_reference_id != controller_->state().references.newest_id) return false;
+  if (next.newest_reference_id != controller_->state().references.track.newest_id) return false;
   for (std::uint64_t step = last_step_ + 1; step < next.step; ++step) {
     const Measurement* sample = inputs_.plants[plant_].find(step);
     if (sample == nullptr) return false;
@@ -168,13 +168,16 @@ const Measurement* ControllerReplica::sample_of(const Modulation& recorded) {
 
 bool ControllerReplica::accept_references(const Modulation& recorded) {
   const std::uint32_t newest = recorded.newest_reference_id;
-  if (newest <= controller_->state().references.newest_id) return true;
-  const auto reference = inputs_.references.find(newest);
-  if (reference == inputs_.references.end()) {
+  const std::uint32_t known = controller_->state().references.track.newest_id;
+  if (newest <= known) return true;
+  const auto last = inputs_.references.find(newest);
+  if (last == inputs_.references.end()) {
     lose(fmt::format("reference {} is not in the recording", newest));
     return false;
   }
-  controller_->accept(reference->second);
+  // All since the last answer, in the order of issue: a renewal depends on what it renews.
+  for (auto at = inputs_.references.upper_bound(known); at != std::next(last); ++at)
+    controller_->accept(at->second);
   return true;
 }
 

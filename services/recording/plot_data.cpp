@@ -64,7 +64,7 @@ class Gatherer {
   double period_s_ = period_s(Timing{});
   std::optional<std::uint64_t> last_step_;
   std::uint64_t lost_ = 0, strange_setpoints_ = 0;
-  bool is_blocked_ = false;
+  bool is_blocked_ = false, was_tripped_ = false;
 };
 
 template <class Message>
@@ -119,8 +119,10 @@ void Gatherer::see(const RecordedMessage& message, const Measurement& m) {
   data_.q.add(m.step, t, s.im);
   data_.v_c.add(m.step, t, m.v_c);
   data_.path.add({s.re, s.im});
-  if (m.blocked != is_blocked_ && data_.samples > 1) mark(t, m.blocked ? "trip" : "reset");
+  if (m.blocked != is_blocked_ && data_.samples > 1)
+    mark(t, !m.blocked ? was_tripped_ ? "reset" : "start" : m.state == UnitState::tripped ? "trip" : "stop");
   is_blocked_ = m.blocked;
+  was_tripped_ = m.state == UnitState::tripped;
 }
 
 void Gatherer::see(const RecordedMessage& message, const Modulation& modulation) {

@@ -156,7 +156,7 @@ void Recorder::keep(const RawSample& sample) {
 bool Recorder::is_trip(const RawSample& sample) {
   if (!sample.has_data || writer_at(sample.writer).source.type != "weakgrid::wire::Measurement") return false;
   const auto measurement = from_payload<Measurement>(sample.payload);
-  return measurement && measurement->message.blocked;
+  return measurement && measurement->message.state == UnitState::tripped;
 }
 
 Recorder::Writer& Recorder::writer_at(std::uint32_t index) {

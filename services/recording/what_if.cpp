@@ -45,6 +45,7 @@ std::string why_not(const RecordedLoop& loop) {
   if (!loop.plant) return "no manifest tells the plant's settings";
   if (loop.plants > 1) return "the plant was restarted";
   if (loop.first_step != 0) return "the recording does not begin with the plant's first step";
+  if (!loop.plant->plant.starts_running) return "the unit was started by an operation";
   return {};
 }
 

@@ -16,7 +16,12 @@ struct DecisionMessage {
   std::string text;  // at most 255 bytes
 };
 
-enum class OperationKind : std::uint8_t { advance, reset_trip };
+enum class OperationKind : std::uint8_t { advance, reset_trip, start, stop };
+
+constexpr const char* name(OperationKind kind) noexcept {
+  constexpr const char* names[] = {"advance", "reset", "start", "stop"};
+  return names[static_cast<std::size_t>(kind)];
+}
 
 struct Operation {
   std::uint64_t client = 0;

@@ -67,11 +67,16 @@ struct Settings {
   struct {
     std::uint32_t substeps = 10;
     double patience_s = 5.0;
+    bool starts_running = true;
+    double precharge_s = 0.1;
   } plant;
   struct {
     double current_max = 2.0;
     double dc_voltage_min = 1.2;
     double dc_voltage_max = 2.6;
+    double pcc_voltage_min = 0.3;
+    double pcc_voltage_max = 1.6;
+    std::uint32_t pcc_voltage_steps = 200;
     std::uint32_t holds_max = 20;
   } protection;
   struct {

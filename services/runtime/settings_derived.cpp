@@ -32,9 +32,14 @@ EmulatorConfiguration emulator_configuration(const Settings& s) {
           .protection = {.i_max = s.protection.current_max,
                          .v_c_max = s.protection.dc_voltage_max,
                          .v_c_min = s.protection.dc_voltage_min,
-                         .max_holds = s.protection.holds_max},
+                         .max_holds = s.protection.holds_max,
+                         .v_p_max = s.protection.pcc_voltage_max,
+                         .v_p_min = s.protection.pcc_voltage_min,
+                         .v_p_steps = s.protection.pcc_voltage_steps},
           .substeps = s.plant.substeps,
-          .v_c = s.converter.dc_voltage};
+          .v_c = s.converter.dc_voltage,
+          .starts_running = s.plant.starts_running,
+          .precharge_steps = static_cast<std::uint32_t>(step_at(s, s.plant.precharge_s))};
 }
 
 ControllerConfiguration controller_configuration(const Settings& s) {

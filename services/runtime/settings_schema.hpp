@@ -15,6 +15,7 @@ inline constexpr Choice<Hold> holds[] = {{"turning", Hold::turning}, {"still", H
 inline constexpr Choice<Sampling> samplings[] = {{"instantaneous", Sampling::instantaneous},
                                                  {"period_mean", Sampling::period_mean}};
 inline constexpr Choice<Law> laws[] = {{"filtered", Law::filtered}, {"unfiltered", Law::unfiltered}};
+inline constexpr Choice<bool> starts[] = {{"running", true}, {"off", false}};
 inline constexpr Choice<Quantity> quantities[] = {{"source_power", Quantity::source_power},
                                                   {"grid_resistance", Quantity::grid_resistance},
                                                   {"grid_reactance", Quantity::grid_inductance},
@@ -48,11 +49,16 @@ void visit(File& file, SettingsOrConst& s) {
   file.section("plant", [&](auto& f) {
     f.count("substeps", s.plant.substeps, 1, 1000);
     f.number("patience_s", s.plant.patience_s, 0.001, 3600.0);
+    f.word("start", s.plant.starts_running, starts);
+    f.number("precharge_s", s.plant.precharge_s, 0.001, 60.0);
   });
   file.section("protection", [&](auto& f) {
     f.number("current_max", s.protection.current_max, 0.1, 50.0);
     f.number("dc_voltage_min", s.protection.dc_voltage_min, 0.05, 10.0);
     f.number("dc_voltage_max", s.protection.dc_voltage_max, 0.1, 10.0);
+    f.number("pcc_voltage_min", s.protection.pcc_voltage_min, 0.0, 2.0);
+    f.number("pcc_voltage_max", s.protection.pcc_voltage_max, 0.1, 10.0);
+    f.count("pcc_voltage_steps", s.protection.pcc_voltage_steps, 1, 100000);
     f.count("holds_max", s.protection.holds_max, 0, 100000);
   });
   file.section("controller", [&](auto& f) {

@@ -10,9 +10,16 @@ namespace {
 // The bits of the IDL and of the controller are the same by construction.
 static_assert(saturated == wire::SATURATED && bad_measurement == wire::BAD_MEASUREMENT &&
               low_voltage == wire::LOW_VOLTAGE && gap == wire::GAP && wrong_timing == wire::WRONG_TIMING &&
-              started == wire::STARTED);
+              started == wire::STARTED && fallback == wire::FALLBACK);
 static_assert(given_p == wire::GIVEN_ACTIVE_POWER && given_q == wire::GIVEN_REACTIVE_POWER &&
               given_v_c == wire::GIVEN_DC_VOLTAGE);
+
+constexpr std::uint32_t state_shift = 5;
+static_assert(static_cast<std::uint32_t>(UnitState::holding) << state_shift == wire::STATE_HOLDING &&
+              static_cast<std::uint32_t>(UnitState::tripped) << state_shift == wire::STATE_TRIPPED &&
+              static_cast<std::uint32_t>(UnitState::off) << state_shift == wire::STATE_OFF &&
+              static_cast<std::uint32_t>(UnitState::precharge) << state_shift == wire::STATE_PRECHARGE &&
+              static_cast<std::uint32_t>(UnitState::ready) << state_shift == wire::STATE_READY);
 
 std::string cut(const std::string& text, std::size_t most) { return text.substr(0, most); }
 
@@ -45,6 +52,8 @@ void encode(const Measurement& m, wire::Measurement& out) {
   if (m.timing.sampling == Sampling::period_mean) flags |= wire::PERIOD_MEAN;
   if (m.timing.delay == 1) flags |= wire::DELAY_ONE;
   if (m.blocked) flags |= wire::BLOCKED;
+  if (m.fallback) flags |= wire::SOURCE_FALLBACK;
+  flags |= static_cast<std::uint32_t>(m.state) << state_shift;
   out.period_ns(static_cast<std::uint32_t>(m.timing.period_ns));
   out.flags(flags);
   out.reference_id(m.reference_id);
@@ -59,7 +68,8 @@ void encode(const Measurement& m, wire::Measurement& out) {
 }
 
 bool decode(const wire::Measurement& in, Measurement& m) {
-  constexpr std::uint32_t known = wire::HOLD_STILL | wire::PERIOD_MEAN | wire::DELAY_ONE | wire::BLOCKED;
+  constexpr std::uint32_t known = wire::HOLD_STILL | wire::PERIOD_MEAN | wire::DELAY_ONE | wire::BLOCKED |
+                                  wire::SOURCE_FALLBACK | wire::STATE_MASK;
   const std::uint32_t flags = in.flags();
   if ((flags & ~known) != 0 || static_cast<std::uint64_t>(in.time_ns()) != in.step() * in.period_ns())
     return false;
@@ -70,6 +80,9 @@ bool decode(const wire::Measurement& in, Measurement& m) {
   m.timing.sampling = (flags & wire::PERIOD_MEAN) != 0 ? Sampling::period_mean : Sampling::instantaneous;
   m.reference_id = in.reference_id();
   m.blocked = (flags & wire::BLOCKED) != 0;
+  m.fallback = (flags & wire::SOURCE_FALLBACK) != 0;
+  if (!decode_enum((flags & wire::STATE_MASK) >> state_shift, UnitState::ready, m.state)) return false;
+  if (m.blocked != is_blocked(m.state)) return false;
   m.v_p = {in.pcc_voltage_alpha(), in.pcc_voltage_beta()};
   m.i = {in.current_alpha(), in.current_beta()};
   m.v_c = in.dc_voltage();
@@ -178,11 +191,17 @@ bool decode(const wire::SetpointDecision& in, DecisionMessage& m) {
 
 void encode(const Reference& m, wire::Reference& out) {
   out.id(m.id);
+  out.renews(m.renews);
   out.ramp_steps(m.ramp_steps);
   out.active_power(m.p);
   out.reactive_power(m.q);
   out.dc_voltage(m.v_c);
   out.effective_step(m.effective_step);
+  out.lease_end_step(m.lease_end_step);
+  out.fallback_active_power(m.fallback_p);
+  out.fallback_reactive_power(m.fallback_q);
+  out.fallback_dc_voltage(m.fallback_v_c);
+  out.fallback_ramp_steps(m.fallback_ramp_steps);
 }
 
 bool decode(const wire::Reference& in, Reference& m) {
@@ -191,7 +210,13 @@ bool decode(const wire::Reference& in, Reference& m) {
        .q = in.reactive_power(),
        .v_c = in.dc_voltage(),
        .effective_step = in.effective_step(),
-       .ramp_steps = in.ramp_steps()};
+       .ramp_steps = in.ramp_steps(),
+       .renews = in.renews(),
+       .lease_end_step = in.lease_end_step(),
+       .fallback_p = in.fallback_active_power(),
+       .fallback_q = in.fallback_reactive_power(),
+       .fallback_v_c = in.fallback_dc_voltage(),
+       .fallback_ramp_steps = in.fallback_ramp_steps()};
   return true;
 }
 
@@ -225,9 +250,12 @@ void encode(const ControllerState& m, wire::ControllerState& out) {
   out.command_beta(m.law.command.im);
   encode(m.references.q, out.reactive_power_ramp());
   encode(m.references.v_c, out.dc_voltage_ramp());
-  encode(m.references.pending.value_or(Reference{}), out.pending());
-  out.reference_in_force_id(m.references.id);
-  out.accepted_reference_id(m.references.newest_id);
+  const ReferenceTrack& track = m.references.track;
+  encode(track.in_force.value_or(Reference{}), out.in_force());
+  encode(track.pending.value_or(Reference{}), out.pending());
+  out.fallen_back(track.fallen_back);
+  out.accepted_reference_id(track.newest_id);
+  out.order_id(track.order_id);
 }
 
 bool decode(const wire::ControllerState& in, ControllerState& m) {
@@ -253,12 +281,12 @@ bool decode(const wire::ControllerState& in, ControllerState& m) {
   m.law.command = {in.command_alpha(), in.command_beta()};
   decode(in.reactive_power_ramp(), m.references.q);
   decode(in.dc_voltage_ramp(), m.references.v_c);
-  if (in.pending().id() != 0) {
-    m.references.pending.emplace();
-    if (!decode(in.pending(), *m.references.pending)) return false;
-  }
-  m.references.id = in.reference_in_force_id();
-  m.references.newest_id = in.accepted_reference_id();
+  ReferenceTrack& track = m.references.track;
+  if (in.in_force().id() != 0 && !decode(in.in_force(), track.in_force.emplace())) return false;
+  if (in.pending().id() != 0 && !decode(in.pending(), track.pending.emplace())) return false;
+  track.fallen_back = in.fallen_back();
+  track.newest_id = in.accepted_reference_id();
+  track.order_id = in.order_id();
   return true;
 }
 
@@ -273,7 +301,7 @@ bool decode(const wire::Operation& in, Operation& m) {
   m.client = in.client();
   m.id = in.id();
   m.until_step = in.until_step();
-  return decode_enum(in.kind(), OperationKind::reset_trip, m.kind);
+  return decode_enum(in.kind(), OperationKind::stop, m.kind);
 }
 
 void encode(const Health& m, wire::Health& out) {

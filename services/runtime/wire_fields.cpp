@@ -48,7 +48,9 @@ Value value_of(wire::LimitName value) {
   return enumerator(value, {"STEADY_STATE", "CURRENT", "CONTROL", "CONTROL_ROUGH", "PCC_VOLTAGE_MIN",
                             "PCC_VOLTAGE_MAX", "DC_VOLTAGE_MIN", "DC_VOLTAGE_MAX"});
 }
-Value value_of(wire::OperationKind value) { return enumerator(value, {"ADVANCE", "RESET_TRIP"}); }
+Value value_of(wire::OperationKind value) {
+  return enumerator(value, {"ADVANCE", "RESET_TRIP", "START", "STOP"});
+}
 Value value_of(wire::ServiceState value) {
   return enumerator(value, {"STARTING", "RUNNING", "WAITING", "BLOCKED_BY_TRIP", "STOPPED"});
 }
@@ -117,8 +119,19 @@ WireFields list(const wire::SetpointDecision& m) {
 }
 
 WireFields list(const wire::Reference& m) {
-  return {FIELD(unit),           FIELD(id),         FIELD(ramp_steps),    FIELD(active_power),
-          FIELD(reactive_power), FIELD(dc_voltage), FIELD(effective_step)};
+  return {FIELD(unit),
+          FIELD(id),
+          FIELD(renews),
+          FIELD(ramp_steps),
+          FIELD(active_power),
+          FIELD(reactive_power),
+          FIELD(dc_voltage),
+          FIELD(effective_step),
+          FIELD(lease_end_step),
+          FIELD(fallback_active_power),
+          FIELD(fallback_reactive_power),
+          FIELD(fallback_dc_voltage),
+          FIELD(fallback_ramp_steps)};
 }
 
 WireFields list(const wire::Operation& m) {
@@ -162,13 +175,22 @@ WireFields list(const wire::Manifest& m) {
 #name ".slope_steps", value_of(m.name().slope_steps())                                                  \
   }
 
+#define PART(name, field) \
+  { #name "." #field, value_of(m.name().field()) }
+#define REFERENCE(name)                                                                                   \
+  PART(name, unit), PART(name, id), PART(name, renews), PART(name, ramp_steps), PART(name, active_power), \
+      PART(name, reactive_power), PART(name, dc_voltage), PART(name, effective_step),                     \
+      PART(name, lease_end_step), PART(name, fallback_active_power), PART(name, fallback_reactive_power), \
+      PART(name, fallback_dc_voltage), PART(name, fallback_ramp_steps)
+
 WireFields list(const wire::ControllerState& m) {
   return {FIELD(unit),
           FIELD(older_in_a_row),
           FIELD(step),
           FIELD(started),
-          FIELD(reference_in_force_id),
+          FIELD(fallen_back),
           FIELD(accepted_reference_id),
+          FIELD(order_id),
           FIELD(reference_id),
           FIELD(newest_reference_id),
           FIELD(status),
@@ -195,15 +217,12 @@ WireFields list(const wire::ControllerState& m) {
           FIELD(command_beta),
           RAMP(reactive_power_ramp),
           RAMP(dc_voltage_ramp),
-          {"pending.unit", value_of(m.pending().unit())},
-          {"pending.id", value_of(m.pending().id())},
-          {"pending.ramp_steps", value_of(m.pending().ramp_steps())},
-          {"pending.active_power", m.pending().active_power()},
-          {"pending.reactive_power", m.pending().reactive_power()},
-          {"pending.dc_voltage", m.pending().dc_voltage()},
-          {"pending.effective_step", value_of(m.pending().effective_step())}};
+          REFERENCE(in_force),
+          REFERENCE(pending)};
 }
 
+#undef REFERENCE
+#undef PART
 #undef RAMP
 #undef FIELD
 

@@ -245,9 +245,15 @@ bool same_bits(double x, double y) {
 }
 bool same(const Measurement& x, const Measurement& y) {
   return x.step == y.step && x.timing == y.timing && x.reference_id == y.reference_id &&
-         x.blocked == y.blocked && same_bits(x.v_p.re, y.v_p.re) && same_bits(x.v_p.im, y.v_p.im) &&
-         same_bits(x.i.re, y.i.re) && same_bits(x.i.im, y.i.im) && same_bits(x.v_c, y.v_c) &&
-         same_bits(x.p_i, y.p_i);
+         x.blocked == y.blocked && x.state == y.state && same_bits(x.v_p.re, y.v_p.re) &&
+         same_bits(x.v_p.im, y.v_p.im) && same_bits(x.i.re, y.i.re) && same_bits(x.i.im, y.i.im) &&
+         same_bits(x.v_c, y.v_c) && same_bits(x.p_i, y.p_i);
+}
+
+// One that holds says so.
+Measurement but_for_the_state(Measurement m) {
+  m.state = UnitState::running;
+  return m;
 }
 
 TEST(EmulatorDelay, WithoutItTheModulationWorksFromItsOwnSampleOn) {
@@ -303,7 +309,7 @@ TEST_P(EmulatorHold, MissingModulationIsTheLastOneTurnedOn) {
     mu = mu * turn;
     held.advance(std::nullopt);
     told.advance(mu);
-    ASSERT_TRUE(same(held.sample(), told.sample())) << "after " << k + 1 << " holds";
+    ASSERT_TRUE(same(but_for_the_state(held.sample()), told.sample())) << "after " << k + 1 << " holds";
   }
   EXPECT_EQ(held.counters().holds, 10u);
   EXPECT_EQ(told.counters().holds, 0u);
@@ -613,6 +619,173 @@ TEST_P(EmulatorTrip, NewOrderWaitsForTheReset) {
   emulator.reset_trip();
   EXPECT_EQ(emulator.sample().reference_id, 1u);
   EXPECT_EQ(emulator.sample().p_i, 0.01);
+}
+
+// Runs a unit that is off until it is in `state`; the number of steps.
+std::uint64_t run_until(Emulator& emulator, UnitState state, std::optional<SpaceVector> mu) {
+  const std::uint64_t from = emulator.step();
+  while (emulator.state() != state && emulator.step() < from + 10'000) emulator.advance(mu);
+  return emulator.step() - from;
+}
+
+EmulatorConfiguration unit_that_is_off() {
+  EmulatorConfiguration configuration = weak_unit();
+  configuration.starts_running = false;
+  configuration.precharge_steps = 100;
+  return configuration;
+}
+
+TEST(EmulatorStart, FromOffThroughPrechargeAndReadyToRunning) {
+  Emulator emulator(unit_that_is_off(), {});
+  for (int k = 0; k < 20; ++k) {
+    const Measurement m = emulator.sample();
+    EXPECT_EQ(m.state, UnitState::off);
+    EXPECT_TRUE(m.blocked);
+    EXPECT_EQ(m.i, SpaceVector{});
+    EXPECT_NEAR(abs(m.v_p), 1.0, 1e-12);
+    EXPECT_EQ(m.v_c, 0.1 * v_c_start);
+    emulator.advance(SpaceVector{});
+  }
+  ASSERT_TRUE(emulator.start());
+  for (std::uint64_t k = 20; k < 120; ++k) {
+    const Measurement m = emulator.sample();
+    EXPECT_EQ(m.state, UnitState::precharge);
+    EXPECT_TRUE(m.blocked);
+    EXPECT_EQ(m.p_i, 0.0);
+    EXPECT_NEAR(m.v_c, raised_cosine(0.1 * v_c_start, v_c_start, 20, 100, k), 1e-14) << "step " << k;
+    emulator.advance(SpaceVector{});
+  }
+  // Answers in a row, not altogether.
+  for (const bool answered : {false, true, false, true, true}) {
+    EXPECT_EQ(emulator.state(), UnitState::ready);
+    EXPECT_EQ(emulator.sample().v_c, v_c_start);
+    EXPECT_TRUE(emulator.sample().blocked);
+    emulator.advance(answered ? std::optional(SpaceVector{}) : std::nullopt);
+  }
+  EXPECT_EQ(emulator.state(), UnitState::running);
+  EXPECT_FALSE(emulator.sample().blocked);
+  EXPECT_EQ(emulator.counters().holds, 0u) << "nobody misses an answer to a unit that is open";
+  for (int k = 0; k < 10; ++k) emulator.advance(std::nullopt);
+  EXPECT_LT(abs(emulator.sample().i), 1e-12) << "it closes in phase with the grid";
+}
+
+TEST(EmulatorStart, UnusableAnswersKeepItReady) {
+  Emulator emulator(unit_that_is_off(), {});
+  emulator.start();
+  run_until(emulator, UnitState::ready, std::nullopt);
+  for (int k = 0; k < 50; ++k) emulator.advance(SpaceVector{nan, 0.0});
+  for (int k = 0; k < 50; ++k) emulator.advance(SpaceVector{0.9, 0.0});
+  EXPECT_EQ(emulator.state(), UnitState::ready);
+}
+
+TEST(EmulatorStart, OrderThatComesBeforeWaitsUntilItRuns) {
+  Emulator emulator(unit_that_is_off(), {});
+  ASSERT_TRUE(emulator.accept({.id = 1, .p = 0.01, .v_c = v_c_start, .lease_end_step = 10'000}));
+  emulator.start();
+  while (emulator.state() != UnitState::running) {
+    ASSERT_EQ(emulator.sample().p_i, 0.0);
+    ASSERT_EQ(emulator.sample().reference_id, 0u);
+    emulator.advance(SpaceVector{});
+  }
+  EXPECT_EQ(emulator.sample().reference_id, 1u);
+  EXPECT_EQ(emulator.sample().p_i, 0.01);
+}
+
+TEST(EmulatorHolding, AsLongAsAnswersAreMissing) {
+  Emulator emulator(weak_unit(), {});
+  for (const bool answered : {true, false, false, true, true, false}) {
+    emulator.advance(answered ? std::optional(some_mu(0)) : std::nullopt);
+    EXPECT_EQ(emulator.sample().state, answered ? UnitState::running : UnitState::holding);
+    EXPECT_FALSE(emulator.sample().blocked);
+  }
+}
+
+TEST(EmulatorStop, OpensAtOnceCancelsTheOrderAndDischarges) {
+  EmulatorConfiguration configuration = weak_unit();
+  configuration.precharge_steps = 100;
+  Emulator emulator(configuration, {});
+  ASSERT_TRUE(emulator.accept({.id = 1, .p = 0.02, .v_c = v_c_start}));
+  for (int k = 0; k < 30; ++k) emulator.advance(std::nullopt);
+  ASSERT_EQ(emulator.trip(), Trip::modulation_lost);
+  ASSERT_TRUE(emulator.reset_trip());
+  ASSERT_TRUE(emulator.accept({.id = 2, .p = 0.02, .v_c = v_c_start}));
+  for (int k = 0; k < 5; ++k) emulator.advance(std::nullopt);
+  const double v_c = emulator.sample().v_c;
+  const std::uint64_t stop_step = emulator.step();
+  ASSERT_TRUE(emulator.stop());
+  for (std::uint64_t k = stop_step; k < stop_step + 200; ++k) {
+    const Measurement m = emulator.sample();
+    ASSERT_EQ(m.state, UnitState::off);
+    ASSERT_TRUE(m.blocked);
+    ASSERT_EQ(m.i, SpaceVector{});
+    ASSERT_EQ(m.p_i, 0.0);
+    ASSERT_EQ(m.reference_id, 0u);
+    ASSERT_NEAR(m.v_c, raised_cosine(v_c, 0.1 * v_c_start, stop_step, 100, k), 1e-14) << "step " << k;
+    emulator.advance(some_mu(k));
+  }
+  ASSERT_TRUE(emulator.start());
+  run_until(emulator, UnitState::running, SpaceVector{});
+  EXPECT_EQ(emulator.sample().reference_id, 0u) << "the order of before the stop";
+  EXPECT_EQ(emulator.sample().p_i, 0.0);
+}
+
+// In every state, each operation: obeyed or not, and then nothing has happened.
+TEST(EmulatorInterlocks, StartOnlyFromOffResetOnlyAfterATripStopFromAllButOff) {
+  struct Case {
+    UnitState state;
+    bool start, reset, stop;
+  };
+  for (const Case& c :
+       {Case{UnitState::off, true, false, false}, Case{UnitState::precharge, false, false, true},
+        Case{UnitState::ready, false, false, true}, Case{UnitState::running, false, false, true},
+        Case{UnitState::holding, false, false, true}, Case{UnitState::tripped, false, true, true}}) {
+    Emulator unit(unit_that_is_off(), {});
+    if (c.state != UnitState::off) unit.start();
+    if (c.state == UnitState::ready) run_until(unit, c.state, std::nullopt);
+    if (!is_blocked(c.state) || c.state == UnitState::tripped)
+      run_until(unit, UnitState::running, SpaceVector{});
+    if (c.state == UnitState::holding || c.state == UnitState::tripped)
+      run_until(unit, c.state, std::nullopt);
+    ASSERT_EQ(unit.state(), c.state) << name(unit.state());
+    const auto expect = [&](bool obeys, UnitState after, bool (Emulator::*operate)() noexcept) {
+      Emulator copy = unit;
+      EXPECT_EQ((copy.*operate)(), obeys) << name(c.state);
+      EXPECT_EQ(copy.state(), obeys ? after : c.state) << name(c.state);
+      EXPECT_TRUE(obeys || same(copy.sample(), unit.sample())) << name(c.state);
+    };
+    expect(c.start, UnitState::precharge, &Emulator::start);
+    expect(c.reset, UnitState::running, &Emulator::reset_trip);
+    expect(c.stop, UnitState::off, &Emulator::stop);
+  }
+}
+
+TEST(EmulatorStop, EndsATrip) {
+  Emulator emulator(weak_unit(), {});
+  for (int k = 0; k < 30; ++k) emulator.advance(std::nullopt);
+  ASSERT_EQ(emulator.sample().state, UnitState::tripped);
+  ASSERT_TRUE(emulator.stop());
+  EXPECT_EQ(emulator.trip(), Trip::none);
+  EXPECT_FALSE(emulator.reset_trip());
+}
+
+// The grid's voltage beyond a limit for as long, and for one step less.
+TEST(EmulatorPccVoltage, OutsideItsBandForLongEnoughTripsAndIsNamed) {
+  for (const auto& [voltage, trip] :
+       {std::pair{1.61, Trip::pcc_overvoltage}, {0.29, Trip::pcc_undervoltage}}) {
+    for (const std::uint64_t steps : {49u, 50u}) {
+      const std::array events{Event{20, Quantity::grid_voltage, voltage, 0},
+                              Event{20 + steps, Quantity::grid_voltage, 1.0, 0}};
+      EmulatorConfiguration configuration;
+      configuration.protection = {
+          .i_max = 1e3, .v_c_max = 100.0, .v_c_min = 0.01, .max_holds = 1000, .v_p_steps = 50};
+      configuration.grid.L_g = 0.001;    // the PCC is the converter's as well
+      configuration.converter.L = 10.0;  // and now all the grid's
+      Emulator emulator(configuration, events);
+      for (int k = 0; k < 200; ++k) emulator.advance(std::nullopt);
+      EXPECT_EQ(emulator.trip(), steps == 50 ? trip : Trip::none) << voltage << " " << name(emulator.trip());
+      EXPECT_EQ(emulator.trip_step(), steps == 50 ? 70u : 0u);
+    }
+  }
 }
 
 TEST(EmulatorTrips, ResetWithoutOneDoesNothing) {

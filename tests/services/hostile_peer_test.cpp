@@ -130,6 +130,7 @@ TEST(HostilePeer, ASecondWriterOfMeasurementsIsNotAnswered) {
     ++sent;
     hostile.step = far_ahead + sent;
     hostile.blocked = sent % 2 == 0;  // the gateway would take back what stands
+    hostile.state = hostile.blocked ? UnitState::tripped : UnitState::running;
     hostile.reference_id = static_cast<std::uint32_t>(sent);
     hostile.v_c = sent % 3 == 0 ? nan : 1e300;
     (void)writer.write(hostile);

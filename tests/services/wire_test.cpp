@@ -79,7 +79,9 @@ Measurement random_measurement(Random& random) {
   m.timing.hold = random.flag() ? Hold::still : Hold::turning;
   m.timing.sampling = random.flag() ? Sampling::period_mean : Sampling::instantaneous;
   m.reference_id = random.whole<std::uint32_t>();
-  m.blocked = random.flag();
+  m.state = static_cast<UnitState>(random.up_to(5));
+  m.blocked = is_blocked(m.state);
+  m.fallback = random.flag();
   m.v_p = {random.real(), random.real()};
   m.i = {random.real(), random.real()};
   m.v_c = random.real();
@@ -96,6 +98,8 @@ TEST(Wire, MeasurementIsReceivedAsSentBitForBit) {
     EXPECT_TRUE(received.timing == sent.timing);
     EXPECT_EQ(received.reference_id, sent.reference_id);
     EXPECT_EQ(received.blocked, sent.blocked);
+    EXPECT_EQ(received.fallback, sent.fallback);
+    EXPECT_EQ(received.state, sent.state);
     EXPECT_SAME_VECTOR(received.v_p, sent.v_p);
     EXPECT_SAME_VECTOR(received.i, sent.i);
     EXPECT_SAME_BITS(received.v_c, sent.v_c);
@@ -156,7 +160,13 @@ Reference random_reference(Random& random) {
           .q = random.real(),
           .v_c = random.real(),
           .effective_step = random.whole<std::uint64_t>(),
-          .ramp_steps = random.whole<std::uint32_t>()};
+          .ramp_steps = random.whole<std::uint32_t>(),
+          .renews = random.whole<std::uint32_t>(),
+          .lease_end_step = random.whole<std::uint64_t>(),
+          .fallback_p = random.real(),
+          .fallback_q = random.real(),
+          .fallback_v_c = random.real(),
+          .fallback_ramp_steps = random.whole<std::uint32_t>()};
 }
 
 void expect_same(const Reference& received, const Reference& sent) {
@@ -166,6 +176,12 @@ void expect_same(const Reference& received, const Reference& sent) {
   EXPECT_SAME_BITS(received.v_c, sent.v_c);
   EXPECT_EQ(received.effective_step, sent.effective_step);
   EXPECT_EQ(received.ramp_steps, sent.ramp_steps);
+  EXPECT_EQ(received.renews, sent.renews);
+  EXPECT_EQ(received.lease_end_step, sent.lease_end_step);
+  EXPECT_SAME_BITS(received.fallback_p, sent.fallback_p);
+  EXPECT_SAME_BITS(received.fallback_q, sent.fallback_q);
+  EXPECT_SAME_BITS(received.fallback_v_c, sent.fallback_v_c);
+  EXPECT_EQ(received.fallback_ramp_steps, sent.fallback_ramp_steps);
 }
 
 TEST(Wire, ReferenceIsReceivedAsSentBitForBit) {
@@ -188,11 +204,12 @@ DecisionMessage random_decision(Random& random) {
   for (std::uint32_t n = random.up_to(limit_count); n > 0; --n)
     m.decision.margins.add({static_cast<Limit>(random.up_to(7)), random.flag(), random.real()});
   if (random.flag()) {
-    m.decision.reference = random_reference(random);
-    if (m.decision.reference->id == 0) m.decision.reference->id = 1;
-    m.decision.reference->p = m.decision.setpoint.p;
-    m.decision.reference->q = m.decision.setpoint.q;
-    m.decision.reference->v_c = m.decision.setpoint.v_c;
+    m.decision.reference = Reference{.id = random.whole<std::uint32_t>() | 1,
+                                     .p = m.decision.setpoint.p,
+                                     .q = m.decision.setpoint.q,
+                                     .v_c = m.decision.setpoint.v_c,
+                                     .effective_step = random.whole<std::uint64_t>(),
+                                     .ramp_steps = random.whole<std::uint32_t>()};
   }
   m.decision.decided_step = random.whole<std::uint64_t>();
   m.decision.standing_reference_id = random.whole<std::uint32_t>();
@@ -243,12 +260,15 @@ ControllerState random_controller_state(Random& random) {
           random.whole<std::uint64_t>(),
           random.whole<std::uint32_t>(),
           random.whole<std::uint32_t>()};
-  if (random.flag()) {
-    s.references.pending = random_reference(random);
-    s.references.pending->id |= 1;
-  }
-  s.references.id = random.whole<std::uint32_t>();
-  s.references.newest_id = random.whole<std::uint32_t>();
+  ReferenceTrack& track = s.references.track;
+  for (std::optional<Reference>* reference : {&track.in_force, &track.pending})
+    if (random.flag()) {
+      *reference = random_reference(random);
+      (*reference)->id |= 1;
+    }
+  track.newest_id = random.whole<std::uint32_t>();
+  track.order_id = random.whole<std::uint32_t>();
+  track.fallen_back = random.flag();
   s.last.step = random.whole<std::uint64_t>();
   for (std::uint32_t* n : {&s.last.period_ns, &s.last.reference_id, &s.last.status,
                            &s.last.newest_reference_id, &s.last.measurement_fingerprint})
@@ -279,7 +299,9 @@ TEST(Wire, ControllerStateIsReceivedAsSentBitForBit) {
     ASSERT_EQ(before.size(), after.size());
     for (std::size_t k = 0; k < before.size(); ++k)
       EXPECT_TRUE(is_same(before[k].value, after[k].value)) << before[k].name;
-    EXPECT_EQ(received.references.pending.has_value(), sent.references.pending.has_value());
+    const ReferenceTrack &out = sent.references.track, &in = received.references.track;
+    EXPECT_EQ(in.pending.has_value(), out.pending.has_value());
+    EXPECT_EQ(in.in_force.has_value(), out.in_force.has_value());
     EXPECT_EQ(received.started, sent.started);
     ASSERT_FALSE(HasFailure()) << "round " << n;
   }
@@ -301,12 +323,14 @@ TEST(Wire, AnyOtherBitInASampleOrRequestGivesAnotherFingerprint) {
         other.*v.*x = std::bit_cast<double>(bits(m.*v.*x) ^ std::uint64_t{1} << random.up_to(63));
         EXPECT_NE(fingerprint(other), fingerprint(m));
       }
-    Measurement others[5] = {m, m, m, m, m};
+    Measurement others[7] = {m, m, m, m, m, m, m};
     others[0].step ^= std::uint64_t{1} << random.up_to(63);
     others[1].reference_id ^= 1u << random.up_to(31);
     others[2].blocked = !m.blocked;
     others[3].timing.delay = m.timing.delay == 1 ? 0 : 1;
     others[4].timing.period_ns ^= 1 << random.up_to(30);
+    others[5].fallback = !m.fallback;
+    others[6].state = static_cast<UnitState>((static_cast<std::uint32_t>(m.state) + 1 + random.up_to(4)) % 6);
     for (const Measurement& other : others) EXPECT_NE(fingerprint(other), fingerprint(m));
     ASSERT_FALSE(HasFailure()) << "round " << n;
   }
@@ -317,7 +341,7 @@ TEST(Wire, OperationIsReceivedAsSent) {
   for (int n = 0; n < rounds; ++n) {
     const Operation sent{.client = random.whole<std::uint64_t>(),
                          .id = random.whole<std::uint32_t>(),
-                         .kind = static_cast<OperationKind>(random.up_to(1)),
+                         .kind = static_cast<OperationKind>(random.up_to(3)),
                          .until_step = random.whole<std::uint64_t>()};
     const Operation received = sent_and_received(sent);
     EXPECT_EQ(received.client, sent.client);
@@ -409,12 +433,28 @@ TEST(Wire, TextsLongerThanTheContractAreCut) {
 
 TEST(Wire, MeasurementWithAnUnknownFlagIsRefused) {
   Random random;
-  for (std::uint32_t bit = 4; bit < 32; ++bit) {
+  for (std::uint32_t bit = 8; bit < 32; ++bit) {
     wire::Measurement wire;
     encode(random_measurement(random), wire);
     wire.flags(wire.flags() | 1u << bit);
     Measurement m;
     EXPECT_FALSE(decode(wire, m)) << "bit " << bit;
+  }
+}
+
+TEST(Wire, MeasurementWhoseStateIsNoneOrDoesNotGoWithBlockedIsRefused) {
+  Random random;
+  for (int n = 0; n < rounds; ++n) {
+    wire::Measurement wire;
+    encode(random_measurement(random), wire);
+    const std::uint32_t right = wire.flags();
+    Measurement m;
+    wire.flags(right ^ wire::BLOCKED);
+    EXPECT_FALSE(decode(wire, m)) << right;
+    for (const std::uint32_t none : {192u, 224u}) {
+      wire.flags((right & ~static_cast<std::uint32_t>(wire::STATE_MASK)) | none);
+      EXPECT_FALSE(decode(wire, m)) << right;
+    }
   }
 }
 
@@ -456,9 +496,9 @@ TEST(Wire, EnumeratorOutOfRangeIsRefused) {
   expect_enumerators_refused<wire::SetpointDecision>(
       decision, wire::FIELD_EFFECTIVE_STEP,
       [](auto& wire, std::uint32_t value) { wire.field(static_cast<wire::RequestField>(value)); });
-  expect_enumerators_refused<wire::Operation>(
-      Operation{}, wire::RESET_TRIP,
-      [](auto& wire, std::uint32_t value) { wire.kind(static_cast<wire::OperationKind>(value)); });
+  expect_enumerators_refused<wire::Operation>(Operation{}, wire::STOP, [](auto& wire, std::uint32_t value) {
+    wire.kind(static_cast<wire::OperationKind>(value));
+  });
   expect_enumerators_refused<wire::Health>(Health{}, wire::STOPPED, [](auto& wire, std::uint32_t value) {
     wire.state(static_cast<wire::ServiceState>(value));
   });
@@ -488,6 +528,8 @@ TEST(Wire, EveryEnumeratorHasItsNameInTheContract) {
   EXPECT_EQ(static_cast<std::uint32_t>(Limit::dc_voltage_max), wire::DC_VOLTAGE_MAX);
   EXPECT_EQ(static_cast<std::uint32_t>(OperationKind::advance), wire::ADVANCE);
   EXPECT_EQ(static_cast<std::uint32_t>(OperationKind::reset_trip), wire::RESET_TRIP);
+  EXPECT_EQ(static_cast<std::uint32_t>(OperationKind::start), wire::START);
+  EXPECT_EQ(static_cast<std::uint32_t>(OperationKind::stop), wire::STOP);
   EXPECT_EQ(static_cast<std::uint32_t>(ServiceState::starting), wire::STARTING);
   EXPECT_EQ(static_cast<std::uint32_t>(ServiceState::running), wire::RUNNING);
   EXPECT_EQ(static_cast<std::uint32_t>(ServiceState::waiting), wire::WAITING);
