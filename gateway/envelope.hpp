@@ -58,7 +58,7 @@ struct LimitMargin {
   bool enforced = true;
   double margin = 0.0;    ///< distance to the limit, at least 0 = inside; NaN = cannot be told
   double required = 0.0;  ///< what it must be at least
-  Grid grid;              ///< where in the box it is the smallest; of v_c limits any
+  Grid grid{};            ///< where in the box it is the smallest; of v_c limits any
 };
 
 /// This margin refuses the setpoint. A NaN does.

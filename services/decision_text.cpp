@@ -10,8 +10,9 @@ namespace weakgrid {
 namespace {
 
 const char* name(Field field) {
-  constexpr const char* names[] = {"none",           "client",     "id",     "given",         "active_power",
-                                   "reactive_power", "dc_voltage", "ramp_s", "effective_step"};
+  constexpr const char* names[] = {"none",           "client",         "id",         "given",
+                                   "active_power",   "reactive_power", "dc_voltage", "ramp_s",
+                                   "effective_step", "source or name", "lease_s",    "grid"};
   return names[static_cast<std::size_t>(field)];
 }
 
@@ -33,6 +34,12 @@ const char* allowed(Field field) {
       return "0 (default) or 0.001 to 60";
     case Field::effective_step:
       return "0 (as soon as possible) or a step still to come";
+    case Field::source:
+      return "source test, schedule or operation and a name that is not empty";
+    case Field::lease_s:
+      return "0 (default) or 0.001 to 86400";
+    case Field::grid:
+      return "intervals, the lower first: resistance and reactance 0 to 10, voltage 0.1 to 2";
     case Field::none:
       break;
   }
@@ -49,33 +56,88 @@ const char* name(Limit limit) {
                                    "PCC voltage minimum",
                                    "PCC voltage maximum",
                                    "DC voltage minimum",
-                                   "DC voltage maximum"};
+                                   "DC voltage maximum",
+                                   "decay of disturbances (1/s)",
+                                   "transient voltage ratio"};
   return names[static_cast<std::size_t>(limit)];
 }
 
 const char* name(Verdict verdict) {
-  constexpr const char* names[] = {"accepted", "outside the envelope", "bad request", "stale request",
-                                   "unit blocked"};
+  constexpr const char* names[] = {"accepted",
+                                   "outside the envelope",
+                                   "bad request",
+                                   "stale request",
+                                   "unit blocked",
+                                   "not authorised",
+                                   "the way there leaves the envelope",
+                                   "not stable",
+                                   "no such offer",
+                                   "nothing stands to renew"};
   return names[static_cast<std::size_t>(verdict)];
 }
 
-std::string describe(const Decision& d, const Timing& timing) {
-  if (d.verdict == Verdict::accepted && d.reference)
+const char* name(RequestKind kind) {
+  constexpr const char* names[] = {"set", "accept", "renew", "take", "release", "grid"};
+  return names[static_cast<std::size_t>(kind)];
+}
+
+const char* name(Source source) {
+  constexpr const char* names[] = {"test", "schedule", "operation", "protection"};
+  return names[static_cast<std::size_t>(source)];
+}
+
+std::string text_of(const Holder& holder) {
+  return fmt::format("{} ({})", holder.name.text.data(), name(holder.source));
+}
+
+namespace {
+
+std::string text_of(const Setpoint& s) {
+  return fmt::format("p = {:.6g}, q = {:.6g}, v_c = {:.6g}", s.p, s.q, s.v_c);
+}
+
+std::string accepted_text(const Decision& d, const Timing& timing) {
+  const double T = period_s(timing);
+  if (d.kind == RequestKind::release) return "authority released";
+  if (d.kind == RequestKind::take)
+    return fmt::format("authority taken by {} until step {}", text_of(d.holder), d.held_until_step);
+  if (!d.reference) return "grid taken; what stands stays";
+  const Reference& r = *d.reference;
+  if (r.renews != 0)
+    return fmt::format("reference {} renewed as {}: lease to step {}", r.renews, r.id, r.lease_end_step);
+  if (d.kind == RequestKind::set_grid)
     return fmt::format(
-        "accepted as reference {}: p = {:.6g}, q = {:.6g}, v_c = {:.6g}, ramp {:.6g} s from step {}",
-        d.reference->id, d.setpoint.p, d.setpoint.q, d.setpoint.v_c,
-        d.reference->ramp_steps * period_s(timing), d.reference->effective_step);
+        "grid taken; what stood is not admissible on it: reference {} derates to {} from step {}", r.id,
+        text_of(Setpoint{r.p, r.q, r.v_c}), r.effective_step);
+  return fmt::format(
+      "accepted as reference {}: {}, ramp {:.6g} s from step {}, reached after {:.6g} s, lease {:.6g} s",
+      r.id, text_of(d.setpoint), r.ramp_steps * T, r.effective_step, d.steps_to_reach * T,
+      static_cast<double>(r.lease_end_step - r.effective_step) * T);
+}
+
+}  // namespace
+
+std::string describe(const Decision& d, const Timing& timing) {
+  if (d.verdict == Verdict::accepted) return accepted_text(d, timing);
   std::string text = fmt::format("rejected: {}", name(d.verdict));
+  const auto add = std::back_inserter(text);
   if (d.verdict == Verdict::bad_request || d.verdict == Verdict::stale_request)
-    fmt::format_to(std::back_inserter(text), ": {}; allowed: {}", name(d.field), allowed(d.field));
+    fmt::format_to(add, ": {}; allowed: {}", name(d.field), allowed(d.field));
   if (d.verdict == Verdict::unit_blocked) text += " by a trip: weakgrid operate reset";
+  if (d.verdict == Verdict::not_authorised)
+    fmt::format_to(add, ": {} holds authority until step {}", text_of(d.holder), d.held_until_step);
+  if (d.verdict == Verdict::path_outside) fmt::format_to(add, " at {}", text_of(d.leaves_at));
   const char* separator = ": ";
   for (const LimitMargin& margin : d.margins) {
     if (!violated(margin)) continue;
-    fmt::format_to(std::back_inserter(text), "{}{}, margin {:.6f}", separator, name(margin.limit),
-                   margin.margin);
+    fmt::format_to(add, "{}{}, margin {:.6f}", separator, name(margin.limit), margin.margin);
+    if (margin.required != 0.0) fmt::format_to(add, " of {:g} required", margin.required);
     separator = "; ";
   }
+  if (d.offer)
+    fmt::format_to(add, "; {} {}: weakgrid accept {}",
+                   d.offer->is_detour ? "go first to" : "would be accepted:", text_of(d.offer->setpoint),
+                   d.offer->token);
   return text;
 }
 

@@ -9,6 +9,10 @@ namespace weakgrid {
 
 const char* name(Limit limit);
 const char* name(Verdict verdict);
+const char* name(RequestKind kind);
+const char* name(Source source);
+/// Name and source.
+std::string text_of(const Holder& holder);
 /// One line: accepted with ramp and start, or every reason against it.
 std::string describe(const Decision& decision, const Timing& timing);
 

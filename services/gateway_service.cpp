@@ -1,4 +1,5 @@
 // weakgrid-gateway: requests in, decisions and references out.
+#include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
 #include <atomic>
@@ -6,6 +7,7 @@
 
 #include "gateway/arbiter.hpp"
 #include "services/decision_text.hpp"
+#include "services/gateway_memory.hpp"
 #include "services/runtime/announcer.hpp"
 #include "services/runtime/program.hpp"
 
@@ -14,8 +16,11 @@ namespace {
 
 class GatewayService {
  public:
-  explicit GatewayService(const Settings& settings)
-      : timing_(timing(settings)),
+  /// memory: what the journal of an earlier start tells; settings hold the grid of it already.
+  GatewayService(const Settings& settings, const GatewayMemory& memory, std::optional<Journal>& journal)
+      : unit_(settings.unit.number),
+        timing_(timing(settings)),
+        journal_(journal),
         arbiter_(arbiter_configuration(settings)),
         bus_(settings.unit.domain, settings.dds.interfaces, "weakgrid-gateway"),
         announcer_(bus_, settings, "gateway", {}),
@@ -24,10 +29,23 @@ class GatewayService {
         health_reader_(bus_, settings.unit.number, [this](const Health& h, WriterId) { hear(h); }),
         measurement_reader_(bus_, settings.unit.number,
                             [this](const Measurement& m, WriterId w) { watch(m, w); }),
-        request_reader_(bus_, settings.unit.number, [this](const Request& r, WriterId) { decide(r); }) {}
+        request_reader_(bus_, settings.unit.number, [this](const Request& r, WriterId) { decide(r); }) {
+    const std::lock_guard lock(mutex_);
+    note_event("started", "the gateway has started");
+    if (!memory.reference) return;
+    arbiter_.adopt(*memory.reference);
+    arbiter_.adopt(memory.authority);
+    // Who joins late finds it again; who knows it does not move.
+    issue(*memory.reference);
+    spdlog::info("goes on from the journal: reference {} stands", memory.reference->id);
+  }
 
   void serve(StopSignal& stop) {
-    while (!stop.wait(std::chrono::milliseconds(5))) announcer_.say(health());
+    while (!stop.wait(std::chrono::milliseconds(5))) {
+      watch_lease();
+      announcer_.say(health());
+    }
+    note_event("stopped", "the gateway was stopped");
     spdlog::info("stopped after {} accepted and {} rejected requests", accepted_.load(), rejected_.load());
   }
 
@@ -35,8 +53,14 @@ class GatewayService {
   void decide(const Request& request) {
     const std::lock_guard lock(mutex_);
     if (!has_looked_around()) return;  // clients repeat
+    const Holder before = arbiter_.authority().holder();
+    const bool was_held = arbiter_.authority().is_held(step_);
     const Decision decision = arbiter_.decide(request, step_);
     if (!decision.repeated) {
+      // Written before anybody hears of it: a kill -9 in between loses no decision.
+      if (journal_ && !note(*journal_, unit_, request, decision, timing_)) unwritten_.fetch_add(1);
+      if (was_held && decision.held_until_step != 0 && decision.holder != before)
+        note_event("authority", text_of(decision.holder) + " takes over from " + text_of(before));
       if (decision.reference) issue(*decision.reference);
       (decision.verdict == Verdict::accepted ? accepted_ : rejected_).fetch_add(1);
       spdlog::info("client {:x} request {}: {}", request.client, request.id, describe(decision, timing_));
@@ -48,6 +72,26 @@ class GatewayService {
   void issue(const Reference& reference) {
     if (!references_.write(reference)) unsent_.fetch_add(1);
     reference_id_ = reference.id;
+  }
+
+  // With mutex_ held.
+  void note_event(const std::string& kind, const std::string& text,
+                  const std::optional<Reference>& reference = {}) {
+    if (journal_ && !note(*journal_, unit_, kind, text, reference, step_)) unwritten_.fetch_add(1);
+  }
+
+  // The unit falls back by itself; people are told.
+  void watch_lease() {
+    const std::lock_guard lock(mutex_);
+    const auto& standing = arbiter_.standing();
+    if (!standing || standing->lease_end_step == 0 || step_ < standing->lease_end_step) return;
+    if (fallen_back_id_ == standing->id) return;
+    fallen_back_id_ = standing->id;
+    const std::string text = fmt::format(
+        "the lease of reference {} ended at step {}: the unit falls back to p = {:.6g}, q = {:.6g}",
+        standing->id, standing->lease_end_step, standing->fallback_p, standing->fallback_q);
+    spdlog::warn("{}", text);
+    note_event("lease_end", text);
   }
 
   // Follows the unit: its step, its trips, and whether it is still the same one.
@@ -63,9 +107,13 @@ class GatewayService {
     if (verdict != OneWriter::Verdict::changed && measurement.blocked == was_blocked_) return;
     was_blocked_ = measurement.blocked;
     if (measurement.blocked || verdict == OneWriter::Verdict::changed) {
-      issue(arbiter_.block());
-      spdlog::warn("the unit has {} at step {}: no setpoint stands any more",
-                   measurement.blocked ? "tripped" : "restarted", measurement.step);
+      const Reference idle = arbiter_.block();
+      const std::string text =
+          fmt::format("the unit is {} at step {}: no setpoint stands any more",
+                      measurement.blocked ? name(measurement.state) : "another one", measurement.step);
+      note_event(measurement.blocked ? "blocked" : "restarted", text, idle);
+      issue(idle);
+      spdlog::warn("{}", text);
     }
     if (!measurement.blocked) arbiter_.unblock();
   }
@@ -74,6 +122,14 @@ class GatewayService {
     if (health.service == "gateway" || health.state == ServiceState::stopped) return;
     const std::lock_guard lock(mutex_);
     arbiter_.note_foreign_reference(health.reference_id);
+    // A unit that has not heard of what stands by the journal has begun anew meanwhile.
+    if (health.service == "plant" && !heard_plant_ && arbiter_.standing() &&
+        health.reference_id < arbiter_.standing()->id && health.reference_id == 0) {
+      const Reference idle = arbiter_.block();
+      arbiter_.unblock();
+      note_event("restarted", "the unit has begun anew: no setpoint stands any more", idle);
+      issue(idle);
+    }
     heard_plant_ = heard_plant_ || health.service == "plant";
     heard_controller_ = heard_controller_ || health.service == "controller";
   }
@@ -97,19 +153,24 @@ class GatewayService {
     health.counters = {{"accepted", accepted_},
                        {"rejected", rejected_},
                        {"unsent", unsent_},
+                       {"unwritten", unwritten_},
+                       {"unsynced", journal_ ? journal_->unsynced() : 0},
                        {"foreign_measurements", foreign_},
                        {"malformed", request_reader_.malformed() + measurement_reader_.malformed()}};
     return health;
   }
 
+  const std::uint32_t unit_;
   const Timing timing_;
+  std::optional<Journal>& journal_;
+  std::uint32_t fallen_back_id_ = 0;
   std::mutex mutex_;
   Arbiter arbiter_;
   OneWriter one_plant_;
   bool was_blocked_ = false;
   bool heard_plant_ = false, heard_controller_ = false;
   const std::chrono::steady_clock::time_point started_ = std::chrono::steady_clock::now();
-  std::atomic<std::uint64_t> step_{0}, accepted_{0}, rejected_{0}, unsent_{0}, foreign_{0};
+  std::atomic<std::uint64_t> step_{0}, accepted_{0}, rejected_{0}, unsent_{0}, unwritten_{0}, foreign_{0};
   std::atomic<std::uint32_t> reference_id_{0};
 
   Bus bus_;
@@ -126,8 +187,22 @@ class GatewayService {
 
 int main(int argc, char** argv) {
   using namespace weakgrid;
-  return run_service(
-      argc, argv, "weakgrid-gateway",
-      "Accepts setpoints inside the steady-state envelope and issues references to one unit.", {},
-      [](const Settings& settings, StopSignal& stop) { GatewayService(settings).serve(stop); });
+  return run_service(argc, argv, "weakgrid-gateway",
+                     "Accepts setpoints inside the steady-state envelope and issues references to one unit.",
+                     {}, [](const Settings& settings, StopSignal& stop) {
+                       if (settings.gateway.journal.empty()) {
+                         std::optional<Journal> none;
+                         GatewayService(settings, {}, none).serve(stop);
+                         return;
+                       }
+                       std::optional<Journal> journal(settings.gateway.journal);
+                       const GatewayMemory memory = recall(settings.gateway.journal, settings.unit.number);
+                       Settings known = settings;
+                       if (memory.reactance) {
+                         known.gateway.grid_resistance = memory.resistance;
+                         known.gateway.grid_reactance = memory.reactance;
+                         known.gateway.grid_voltage = memory.voltage;
+                       }
+                       GatewayService(known, memory, journal).serve(stop);
+                     });
 }

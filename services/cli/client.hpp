@@ -33,7 +33,7 @@ class Client {
   bool wait_for(const std::string& service, Patience patience,
                 const std::function<bool(const Health&)>& condition) const;
 
-  /// Sends the request until a decision answers it. Fills in client and id.
+  /// Sends the request until a decision answers it. Fills in client and id, and a name if there is none.
   std::optional<DecisionMessage> ask(Request request, Patience patience);
   /// Sends an operation to the plant; false: no plant has come within `patience`.
   bool operate(OperationKind kind, std::uint64_t until_step, Patience patience);

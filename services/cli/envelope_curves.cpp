@@ -59,7 +59,7 @@ std::vector<SpaceVector> currents_at(const Envelope& e, Limit limit, double reac
 }
 
 bool is_admissible(const Envelope& e, double p, double q) {
-  return assess(e.grid, e.converter, e.limits, {p, q, e.v_c}).admissible;
+  return assess(e.box, e.converter, e.limits, {p, q, e.v_c}).admissible;
 }
 
 // Between q, admissible, and q_out, not: the last that is.

@@ -10,7 +10,8 @@ namespace weakgrid {
 
 /// What is drawn, and for which v_c.
 struct Envelope {
-  Grid grid;
+  GridBox box;  ///< of the admissible area
+  Grid grid;    ///< of the limit curves, one of the box
   Converter converter;
   Limits limits;
   double v_c;

@@ -76,7 +76,9 @@ class Plane {
 
   Envelope envelope() const {
     const Arbiter::Configuration gateway = arbiter_configuration(*data_.gateway);
-    return {gateway.grid, gateway.converter, gateway.limits, data_.standing_v_c};
+    const GridBox& box = gateway.box;
+    return {
+        box, {box.R_g.low, box.L_g.high, box.V.low}, gateway.converter, gateway.limits, data_.standing_v_c};
   }
 
   void add_envelope() {

@@ -59,22 +59,6 @@ void print_table(const Settings& settings, const Outcome& outcome) {
   fmt::print("{}\n", verdict(settings, outcome));
 }
 
-nlohmann::json to_json(const Decision& decision, const Timing& timing) {
-  nlohmann::json margins = nlohmann::json::array();
-  for (const LimitMargin& margin : decision.margins)
-    margins.push_back(
-        {{"limit", name(margin.limit)}, {"enforced", margin.enforced}, {"margin", margin.margin}});
-  return {{"verdict", name(decision.verdict)},
-          {"active_power", decision.setpoint.p},
-          {"reactive_power", decision.setpoint.q},
-          {"dc_voltage", decision.setpoint.v_c},
-          {"reference_id", decision.reference ? decision.reference->id : 0},
-          {"effective_step", decision.reference ? decision.reference->effective_step : 0},
-          {"ramp_steps", decision.reference ? decision.reference->ramp_steps : 0},
-          {"margins", margins},
-          {"text", describe(decision, timing)}};
-}
-
 nlohmann::json to_json(const Settings& settings, const Outcome& outcome) {
   const auto& s = outcome.summary;
   nlohmann::json decisions = nlohmann::json::array();

@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "services/decision_json.hpp"
 #include "services/run_record.hpp"
 
 namespace weakgrid {
@@ -25,6 +26,5 @@ struct Outcome {
 
 void print_table(const Settings& settings, const Outcome& outcome);
 nlohmann::json to_json(const Settings& settings, const Outcome& outcome);
-nlohmann::json to_json(const Decision& decision, const Timing& timing);
 
 }  // namespace weakgrid

@@ -14,7 +14,8 @@ namespace {
 bool same_bits(const Reference& a, const Reference& b) {
   const auto bits = [](double x) { return std::bit_cast<std::uint64_t>(x); };
   return a.id == b.id && bits(a.p) == bits(b.p) && bits(a.q) == bits(b.q) && bits(a.v_c) == bits(b.v_c) &&
-         a.effective_step == b.effective_step && a.ramp_steps == b.ramp_steps;
+         a.effective_step == b.effective_step && a.ramp_steps == b.ramp_steps && a.renews == b.renews &&
+         a.lease_end_step == b.lease_end_step;
 }
 
 std::string name_of(std::uint64_t client, std::uint32_t id) {
@@ -23,7 +24,9 @@ std::string name_of(std::uint64_t client, std::uint32_t id) {
 
 }  // namespace
 
-void GatewayReplica::configure(const Arbiter::Configuration& configuration, const std::string& build) {
+void GatewayReplica::configure(const Arbiter::Configuration& configuration, bool resumes,
+                               const std::string& build) {
+  resumes_ = resumes;
   arbiter_.emplace(configuration);
   timing_ = configuration.timing;
   findings_.build = build;
@@ -67,7 +70,7 @@ void GatewayReplica::issue_unasked(std::uint32_t up_to, std::uint64_t step) {
 void GatewayReplica::catch_up(std::uint32_t reference_id) {
   if (reference_id <= newest_) return;
   const auto standing = inputs_->references.find(reference_id);
-  if (is_late_ && clients_.empty() && standing != inputs_->references.end())
+  if ((is_late_ || resumes_) && clients_.empty() && standing != inputs_->references.end())
     arbiter_->adopt(standing->second);
   else
     arbiter_->note_foreign_reference(reference_id);
@@ -140,6 +143,13 @@ void GatewayReplica::decide(const DecisionMessage& message) {
     return;
   }
   if (!is_blocked_at(recorded)) arbiter_->unblock();
+  // Who held authority when the recording or this process began shows when somebody else is refused.
+  if ((is_late_ || resumes_) && recorded.verdict == Verdict::not_authorised &&
+      !arbiter_->authority().is_held(recorded.decided_step)) {
+    Authority held;
+    held.give(recorded.holder, recorded.held_until_step);
+    arbiter_->adopt(held);
+  }
   const Decision computed = arbiter_->decide(*request, recorded.decided_step);
   clients_.insert(recorded.client);
   decided_.emplace(recorded.client, recorded.id);

@@ -30,7 +30,8 @@ class GatewayReplica {
     findings_.participant = participant;
   }
 
-  void configure(const Arbiter::Configuration& configuration, const std::string& build);
+  /// resumes: it had a journal, so that it knew what stood before its start.
+  void configure(const Arbiter::Configuration& configuration, bool resumes, const std::string& build);
   bool is_configured() const { return arbiter_.has_value(); }
 
   /// plants: how many of the unit had been heard by then.
@@ -67,6 +68,7 @@ class GatewayReplica {
   const std::uint32_t unit_;
   std::optional<Arbiter> arbiter_;
   std::optional<Timing> timing_;
+  bool resumes_ = false;
   std::map<std::uint64_t, Taken> decisions_;
   std::size_t plants_then_ = 0;
   std::map<std::uint32_t, Reference> references_;  // as recorded

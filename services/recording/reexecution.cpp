@@ -244,8 +244,8 @@ GatewayReplica& Reexecution::gateway_of(Unit& unit, std::uint32_t number, const 
   if (replica.is_configured()) return replica;
   if (Process* process = process_of(number, "gateway", participant)) {
     process->taken = true;
-    replica.configure(arbiter_configuration(options_.other_settings.value_or(process->settings)),
-                      process->build);
+    const Settings& settings = options_.other_settings.value_or(process->settings);
+    replica.configure(arbiter_configuration(settings), !settings.gateway.journal.empty(), process->build);
   }
   return replica;
 }

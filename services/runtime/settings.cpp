@@ -62,6 +62,18 @@ class TableReader {
   void optional(const char* key, std::optional<double>& value, double low, double high) {
     if (const toml::node* node = find(key)) value = in_range(*node, key, low, high);
   }
+  // A number, known exactly, or a list of the least and the most that it may be.
+  void interval(const char* key, std::optional<Interval>& value, double low, double high) {
+    const toml::node* node = find(key);
+    if (!node) return;
+    const auto allowed = fmt::format("allowed: a number from {} to {}, or two, the lower first", low, high);
+    const toml::array* array = node->as_array();
+    if (array && array->size() != 2) wrong(*node, key, allowed);
+    const double first = in_range(array ? *array->get(0) : *node, key, low, high);
+    const double second = array ? in_range(*array->get(1), key, low, high) : first;
+    if (second < first) wrong(*node, key, fmt::format("{} is above {}; {}", first, second, allowed));
+    value = Interval{first, second};
+  }
   void count(const char* key, std::uint32_t& value, std::int64_t low, std::int64_t high) {
     const toml::node* node = find(key);
     if (!node) return;
@@ -174,6 +186,11 @@ class TableWriter {
   void required(const char* key, double value, double low, double high) { number(key, value, low, high); }
   void optional(const char* key, const std::optional<double>& value, double low, double high) {
     if (value) number(key, *value, low, high);
+  }
+  void interval(const char* key, const std::optional<Interval>& value, double, double) {
+    if (!value) return;
+    line(key, value->low == value->high ? real(value->low)
+                                        : fmt::format("[{}, {}]", real(value->low), real(value->high)));
   }
   void count(const char* key, std::uint32_t value, std::int64_t, std::int64_t) {
     line(key, fmt::format("{}", value));

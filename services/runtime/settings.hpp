@@ -24,6 +24,7 @@ struct TimedSetpoint {
   double at_s = 0.0;
   std::optional<double> active_power, reactive_power, dc_voltage;
   double ramp_s = 0.0;
+  double lease_s = 0.0;  // 0: in a scenario to its end, else the gateway's default
 };
 
 struct TimedEvent {
@@ -86,14 +87,27 @@ struct Settings {
     double predictor_rho = 0.6;
   } controller;
   struct {
-    std::optional<double> grid_resistance, grid_reactance, grid_voltage;  // none: as in [grid]
+    std::optional<Interval> grid_resistance, grid_reactance, grid_voltage;  // none: as in [grid]
     double current_max = 1.0;
     double pcc_voltage_min = 0.8;
     double pcc_voltage_max = 1.2;
     double dc_voltage_min = 1.5;
     double dc_voltage_max = 2.4;
+    double steady_state_reserve = 0.0;
+    double current_reserve = 0.0;
+    double control_reserve = 0.0;
+    double pcc_voltage_reserve = 0.0;
+    double dc_voltage_reserve = 0.0;
+    double decay_min_per_s = 30.0;
     double ramp_s = 0.020;
+    double lease_s = 60.0;
+    double offer_s = 60.0;
+    double fallback_active_power = 0.0;
+    double fallback_reactive_power = 0.0;
+    std::optional<double> fallback_dc_voltage;  // none: converter.dc_voltage
+    double fallback_ramp_s = 0.1;
     std::uint32_t lead_steps = 50;
+    std::string journal;  // file; empty: none
   } gateway;
   struct {
     std::vector<std::string> interfaces = {"127.0.0.1"};

@@ -57,17 +57,39 @@ ControllerConfiguration controller_configuration(const Settings& s) {
 Arbiter::Configuration arbiter_configuration(const Settings& s) {
   Arbiter::Configuration c;
   c.converter = converter(s);
-  c.grid = {s.gateway.grid_resistance.value_or(s.grid.resistance),
-            s.gateway.grid_reactance.value_or(s.grid.reactance) / c.converter.omega,
-            s.gateway.grid_voltage.value_or(s.grid.voltage)};
+  const auto known = [](const std::optional<Interval>& told, double otherwise) {
+    return told.value_or(Interval{otherwise, otherwise});
+  };
+  const Interval X_g = known(s.gateway.grid_reactance, s.grid.reactance);
+  c.box = {known(s.gateway.grid_resistance, s.grid.resistance),
+           {X_g.low / c.converter.omega, X_g.high / c.converter.omega},
+           known(s.gateway.grid_voltage, s.grid.voltage)};
   c.limits = {.i_max = s.gateway.current_max,
               .v_p_min = s.gateway.pcc_voltage_min,
               .v_p_max = s.gateway.pcc_voltage_max,
               .v_c_min = s.gateway.dc_voltage_min,
-              .v_c_max = s.gateway.dc_voltage_max};
+              .v_c_max = s.gateway.dc_voltage_max,
+              .reserve = {.steady_state = s.gateway.steady_state_reserve,
+                          .current = s.gateway.current_reserve,
+                          .control = s.gateway.control_reserve,
+                          .pcc_voltage = s.gateway.pcc_voltage_reserve,
+                          .dc_voltage = s.gateway.dc_voltage_reserve}};
   c.timing = timing(s);
+  const ControllerConfiguration law = controller_configuration(s);
+  if (law.law == Law::filtered) {
+    const Gains K = sampled_gains(law.settling_times_s, period_s(c.timing));
+    c.loop = LoopModel{c.converter, K.k1, K.k2, K.k3, law.kappa.re};
+  }
+  c.decay_min = s.gateway.decay_min_per_s;
+  c.settling_s = std::max(*std::max_element(law.settling_times_s.begin(), law.settling_times_s.end()),
+                          s.controller.notch_settling_time_s);
   c.initial = {0.0, 0.0, s.converter.dc_voltage};
+  c.fallback = {s.gateway.fallback_active_power, s.gateway.fallback_reactive_power,
+                s.gateway.fallback_dc_voltage.value_or(s.converter.dc_voltage)};
   c.default_ramp_s = s.gateway.ramp_s;
+  c.fallback_ramp_s = s.gateway.fallback_ramp_s;
+  c.default_lease_s = s.gateway.lease_s;
+  c.offer_s = s.gateway.offer_s;
   c.lead_steps = s.gateway.lead_steps;
   return c;
 }
@@ -90,15 +112,22 @@ std::vector<Event> events(const Settings& s) {
 }
 
 Request request(const Settings& s, const TimedSetpoint& setpoint, std::uint64_t client, std::uint32_t id) {
-  return {.client = client,
-          .id = id,
-          .given = (setpoint.active_power ? given_p : 0u) | (setpoint.reactive_power ? given_q : 0u) |
-                   (setpoint.dc_voltage ? given_v_c : 0u),
-          .p = setpoint.active_power.value_or(0.0),
-          .q = setpoint.reactive_power.value_or(0.0),
-          .v_c = setpoint.dc_voltage.value_or(0.0),
-          .ramp_s = setpoint.ramp_s,
-          .effective_step = step_at(s, setpoint.at_s)};
+  Request r;
+  r.client = client;
+  r.id = id;
+  r.who.name.text = {'s', 'c', 'e', 'n', 'a', 'r', 'i', 'o'};
+  r.given = (setpoint.active_power ? given_p : 0u) | (setpoint.reactive_power ? given_q : 0u) |
+            (setpoint.dc_voltage ? given_v_c : 0u);
+  r.p = setpoint.active_power.value_or(0.0);
+  r.q = setpoint.reactive_power.value_or(0.0);
+  r.v_c = setpoint.dc_voltage.value_or(0.0);
+  r.ramp_s = setpoint.ramp_s;
+  // What a scenario asks for shall not fall back before its end.
+  const double to_end = s.scenario ? s.scenario->end_s - setpoint.at_s + 1.0 : 0.0;
+  r.lease_s =
+      setpoint.lease_s != 0.0 ? setpoint.lease_s : std::min(to_end, Arbiter::Configuration{}.max_lease_s);
+  r.effective_step = step_at(s, setpoint.at_s);
+  return r;
 }
 
 }  // namespace weakgrid

@@ -68,16 +68,29 @@ void visit(File& file, SettingsOrConst& s) {
     f.number("predictor_rho", s.controller.predictor_rho, 0.0, 1.0);
   });
   file.section("gateway", [&](auto& f) {
-    f.optional("grid_resistance", s.gateway.grid_resistance, 0.0, 10.0);
-    f.optional("grid_reactance", s.gateway.grid_reactance, 0.0, 10.0);
-    f.optional("grid_voltage", s.gateway.grid_voltage, 0.1, 2.0);
+    f.interval("grid_resistance", s.gateway.grid_resistance, 0.0, 10.0);
+    f.interval("grid_reactance", s.gateway.grid_reactance, 0.0, 10.0);
+    f.interval("grid_voltage", s.gateway.grid_voltage, 0.1, 2.0);
     f.number("current_max", s.gateway.current_max, 0.01, 10.0);
     f.number("pcc_voltage_min", s.gateway.pcc_voltage_min, 0.0, 2.0);
     f.number("pcc_voltage_max", s.gateway.pcc_voltage_max, 0.1, 5.0);
     f.number("dc_voltage_min", s.gateway.dc_voltage_min, 0.1, 10.0);
     f.number("dc_voltage_max", s.gateway.dc_voltage_max, 0.1, 10.0);
+    f.number("steady_state_reserve", s.gateway.steady_state_reserve, 0.0, 1.0);
+    f.number("current_reserve", s.gateway.current_reserve, 0.0, 1.0);
+    f.number("control_reserve", s.gateway.control_reserve, 0.0, 1.0);
+    f.number("pcc_voltage_reserve", s.gateway.pcc_voltage_reserve, 0.0, 1.0);
+    f.number("dc_voltage_reserve", s.gateway.dc_voltage_reserve, 0.0, 1.0);
+    f.number("decay_min_per_s", s.gateway.decay_min_per_s, 0.0, 1000.0);
     f.number("ramp_s", s.gateway.ramp_s, 0.001, 60.0);
+    f.number("lease_s", s.gateway.lease_s, 0.01, 86400.0);
+    f.number("offer_s", s.gateway.offer_s, 0.1, 3600.0);
+    f.number("fallback_active_power", s.gateway.fallback_active_power, -10.0, 10.0);
+    f.number("fallback_reactive_power", s.gateway.fallback_reactive_power, -10.0, 10.0);
+    f.optional("fallback_dc_voltage", s.gateway.fallback_dc_voltage, 0.1, 10.0);
+    f.number("fallback_ramp_s", s.gateway.fallback_ramp_s, 0.001, 60.0);
     f.count("lead_steps", s.gateway.lead_steps, 1, 1000000);
+    f.text("journal", s.gateway.journal);
   });
   file.section("dds", [&](auto& f) { f.texts("interfaces", s.dds.interfaces, 1, 16); });
   file.optional_section("scenario", s.scenario, [](auto& f, auto& scenario) {
@@ -89,6 +102,7 @@ void visit(File& file, SettingsOrConst& s) {
       item.optional("reactive_power", setpoint.reactive_power, -10.0, 10.0);
       item.optional("dc_voltage", setpoint.dc_voltage, 0.01, 10.0);
       item.number("ramp_s", setpoint.ramp_s, 0.0, 60.0);
+      item.number("lease_s", setpoint.lease_s, 0.0, 86400.0);
     });
     f.list("event", scenario.events, [](auto& item, auto& event) {
       item.required("at_s", event.at_s, 0.0, 1e6);

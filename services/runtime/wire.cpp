@@ -21,6 +21,12 @@ static_assert(static_cast<std::uint32_t>(UnitState::holding) << state_shift == w
               static_cast<std::uint32_t>(UnitState::precharge) << state_shift == wire::STATE_PRECHARGE &&
               static_cast<std::uint32_t>(UnitState::ready) << state_shift == wire::STATE_READY);
 
+Name name_of(const char* text) {
+  Name name;
+  for (std::size_t k = 0; k + 1 < name.text.size() && text[k] != '\0'; ++k) name.text[k] = text[k];
+  return name;
+}
+
 std::string cut(const std::string& text, std::size_t most) { return text.substr(0, most); }
 
 template <class To, class From>
@@ -116,38 +122,84 @@ void encode(const Request& m, wire::SetpointRequest& out) {
   out.given(m.given);
   out.client(m.client);
   out.id(m.id);
+  out.kind(static_cast<wire::RequestKind>(m.kind));
+  out.source(static_cast<wire::Source>(m.who.source));
+  out.name(m.who.name.text.data());
+  out.policy(static_cast<wire::OfferPolicy>(m.policy));
+  out.token(m.token);
   out.active_power(m.p);
   out.reactive_power(m.q);
   out.dc_voltage(m.v_c);
   out.ramp_s(m.ramp_s);
+  out.lease_s(m.lease_s);
   out.effective_step(m.effective_step);
+  out.grid_resistance_min(m.R_g.low);
+  out.grid_resistance_max(m.R_g.high);
+  out.grid_reactance_min(m.X_g.low);
+  out.grid_reactance_max(m.X_g.high);
+  out.grid_voltage_min(m.V.low);
+  out.grid_voltage_max(m.V.high);
 }
 
 bool decode(const wire::SetpointRequest& in, Request& m) {
-  m = {.client = in.client(),
-       .id = in.id(),
-       .given = in.given(),
-       .p = in.active_power(),
-       .q = in.reactive_power(),
-       .v_c = in.dc_voltage(),
-       .ramp_s = in.ramp_s(),
-       .effective_step = in.effective_step()};
+  m = {};
+  if (!decode_enum(in.kind(), RequestKind::set_grid, m.kind)) return false;
+  if (!decode_enum(in.source(), Source::protection, m.who.source)) return false;
+  if (!decode_enum(in.policy(), Policy::keep_power_factor, m.policy)) return false;
+  m.who.name = name_of(in.name().c_str());
+  m.client = in.client();
+  m.id = in.id();
+  m.given = in.given();
+  m.p = in.active_power();
+  m.q = in.reactive_power();
+  m.v_c = in.dc_voltage();
+  m.ramp_s = in.ramp_s();
+  m.lease_s = in.lease_s();
+  m.token = in.token();
+  m.effective_step = in.effective_step();
+  m.R_g = {in.grid_resistance_min(), in.grid_resistance_max()};
+  m.X_g = {in.grid_reactance_min(), in.grid_reactance_max()};
+  m.V = {in.grid_voltage_min(), in.grid_voltage_max()};
   return true;
 }
 
 void encode(const DecisionMessage& m, wire::SetpointDecision& out) {
   const Decision& d = m.decision;
   const Reference reference = d.reference.value_or(Reference{});
+  const Offer offer = d.offer.value_or(Offer{});
   out.id(d.id);
   out.client(d.client);
+  out.kind(static_cast<wire::RequestKind>(d.kind));
   out.verdict(static_cast<wire::Verdict>(d.verdict));
   out.field(static_cast<wire::RequestField>(d.field));
   out.active_power(d.setpoint.p);
   out.reactive_power(d.setpoint.q);
   out.dc_voltage(d.setpoint.v_c);
   out.reference_id(reference.id);
+  out.renews(reference.renews);
   out.ramp_steps(reference.ramp_steps);
+  out.steps_to_reach(d.steps_to_reach);
   out.effective_step(reference.effective_step);
+  out.lease_end_step(reference.lease_end_step);
+  out.reference_active_power(reference.p);
+  out.reference_reactive_power(reference.q);
+  out.reference_dc_voltage(reference.v_c);
+  out.fallback_active_power(reference.fallback_p);
+  out.fallback_reactive_power(reference.fallback_q);
+  out.fallback_dc_voltage(reference.fallback_v_c);
+  out.fallback_ramp_steps(reference.fallback_ramp_steps);
+  out.offer_token(offer.token);
+  out.offer_is_detour(offer.is_detour);
+  out.offer_active_power(offer.setpoint.p);
+  out.offer_reactive_power(offer.setpoint.q);
+  out.offer_dc_voltage(offer.setpoint.v_c);
+  out.offer_valid_until_step(offer.valid_until_step);
+  out.leaves_at_active_power(d.leaves_at.p);
+  out.leaves_at_reactive_power(d.leaves_at.q);
+  out.leaves_at_dc_voltage(d.leaves_at.v_c);
+  out.holder_source(static_cast<wire::Source>(d.holder.source));
+  out.holder_name(d.holder.name.text.data());
+  out.held_until_step(d.held_until_step);
   out.decided_step(d.decided_step);
   out.standing_reference_id(d.standing_reference_id);
   out.request_fingerprint(d.request_fingerprint);
@@ -157,6 +209,10 @@ void encode(const DecisionMessage& m, wire::SetpointDecision& out) {
     item.limit(static_cast<wire::LimitName>(margin.limit));
     item.enforced(margin.enforced);
     item.margin(margin.margin);
+    item.required(margin.required);
+    item.grid_resistance(margin.grid.R_g);
+    item.grid_inductance_s(margin.grid.L_g);
+    item.grid_voltage(margin.grid.V);
   }
   out.text(cut(m.text, 255));
 }
@@ -166,23 +222,43 @@ bool decode(const wire::SetpointDecision& in, DecisionMessage& m) {
   d = {};
   d.client = in.client();
   d.id = in.id();
-  if (!decode_enum(in.verdict(), Verdict::unit_blocked, d.verdict)) return false;
-  if (!decode_enum(in.field(), Field::effective_step, d.field)) return false;
+  if (!decode_enum(in.kind(), RequestKind::set_grid, d.kind)) return false;
+  if (!decode_enum(in.verdict(), Verdict::nothing_stands, d.verdict)) return false;
+  if (!decode_enum(in.field(), Field::grid, d.field)) return false;
   d.setpoint = {in.active_power(), in.reactive_power(), in.dc_voltage()};
   if (in.reference_id() != 0)
     d.reference = Reference{.id = in.reference_id(),
-                            .p = d.setpoint.p,
-                            .q = d.setpoint.q,
-                            .v_c = d.setpoint.v_c,
+                            .p = in.reference_active_power(),
+                            .q = in.reference_reactive_power(),
+                            .v_c = in.reference_dc_voltage(),
                             .effective_step = in.effective_step(),
-                            .ramp_steps = in.ramp_steps()};
+                            .ramp_steps = in.ramp_steps(),
+                            .renews = in.renews(),
+                            .lease_end_step = in.lease_end_step(),
+                            .fallback_p = in.fallback_active_power(),
+                            .fallback_q = in.fallback_reactive_power(),
+                            .fallback_v_c = in.fallback_dc_voltage(),
+                            .fallback_ramp_steps = in.fallback_ramp_steps()};
+  if (in.offer_token() != 0)
+    d.offer = Offer{in.offer_token(),
+                    {in.offer_active_power(), in.offer_reactive_power(), in.offer_dc_voltage()},
+                    in.offer_is_detour(),
+                    in.offer_valid_until_step()};
+  d.leaves_at = {in.leaves_at_active_power(), in.leaves_at_reactive_power(), in.leaves_at_dc_voltage()};
+  if (!decode_enum(in.holder_source(), Source::protection, d.holder.source)) return false;
+  d.holder.name = name_of(in.holder_name().c_str());
+  d.held_until_step = in.held_until_step();
+  d.steps_to_reach = in.steps_to_reach();
   d.decided_step = in.decided_step();
   d.standing_reference_id = in.standing_reference_id();
   d.request_fingerprint = in.request_fingerprint();
-  if (in.margins().size() > limit_count) return false;
+  if (in.margins().size() > margin_count) return false;
   for (const wire::LimitMargin& item : in.margins()) {
-    LimitMargin margin{.enforced = item.enforced(), .margin = item.margin()};
-    if (!decode_enum(item.limit(), Limit::dc_voltage_max, margin.limit)) return false;
+    LimitMargin margin{.enforced = item.enforced(),
+                       .margin = item.margin(),
+                       .required = item.required(),
+                       .grid = {item.grid_resistance(), item.grid_inductance_s(), item.grid_voltage()}};
+    if (!decode_enum(item.limit(), Limit::transient, margin.limit)) return false;
     d.margins.add(margin);
   }
   m.text = in.text().c_str();

@@ -37,16 +37,28 @@ Value enumerator(Enum value, const char* const (&names)[n]) {
 }
 
 Value value_of(wire::Verdict value) {
-  return enumerator(value, {"ACCEPTED", "OUTSIDE_ENVELOPE", "BAD_REQUEST", "STALE_REQUEST", "UNIT_BLOCKED"});
+  return enumerator(value,
+                    {"ACCEPTED", "OUTSIDE_ENVELOPE", "BAD_REQUEST", "STALE_REQUEST", "UNIT_BLOCKED",
+                     "NOT_AUTHORISED", "PATH_OUTSIDE", "NOT_STABLE", "NO_SUCH_OFFER", "NOTHING_STANDS"});
 }
 Value value_of(wire::RequestField value) {
+  return enumerator(value, {"NO_FIELD", "FIELD_CLIENT", "FIELD_ID", "FIELD_GIVEN", "FIELD_ACTIVE_POWER",
+                            "FIELD_REACTIVE_POWER", "FIELD_DC_VOLTAGE", "FIELD_RAMP_S",
+                            "FIELD_EFFECTIVE_STEP", "FIELD_SOURCE", "FIELD_LEASE_S", "FIELD_GRID"});
+}
+Value value_of(wire::RequestKind value) {
+  return enumerator(value, {"SET", "ACCEPT", "RENEW", "TAKE", "RELEASE", "SET_GRID"});
+}
+Value value_of(wire::Source value) {
+  return enumerator(value, {"SOURCE_TEST", "SOURCE_SCHEDULE", "SOURCE_OPERATION", "SOURCE_PROTECTION"});
+}
+Value value_of(wire::OfferPolicy value) {
   return enumerator(value,
-                    {"NO_FIELD", "FIELD_CLIENT", "FIELD_ID", "FIELD_GIVEN", "FIELD_ACTIVE_POWER",
-                     "FIELD_REACTIVE_POWER", "FIELD_DC_VOLTAGE", "FIELD_RAMP_S", "FIELD_EFFECTIVE_STEP"});
+                    {"MINIMUM_DISTANCE", "KEEP_ACTIVE_POWER", "KEEP_REACTIVE_POWER", "KEEP_POWER_FACTOR"});
 }
 Value value_of(wire::LimitName value) {
   return enumerator(value, {"STEADY_STATE", "CURRENT", "CONTROL", "CONTROL_ROUGH", "PCC_VOLTAGE_MIN",
-                            "PCC_VOLTAGE_MAX", "DC_VOLTAGE_MIN", "DC_VOLTAGE_MAX"});
+                            "PCC_VOLTAGE_MAX", "DC_VOLTAGE_MIN", "DC_VOLTAGE_MAX", "DECAY", "TRANSIENT"});
 }
 Value value_of(wire::OperationKind value) {
   return enumerator(value, {"ADVANCE", "RESET_TRIP", "START", "STOP"});
@@ -90,31 +102,76 @@ WireFields list(const wire::Modulation& m) {
 }
 
 WireFields list(const wire::SetpointRequest& m) {
-  return {FIELD(unit),       FIELD(given),        FIELD(client),
-          FIELD(id),         FIELD(active_power), FIELD(reactive_power),
-          FIELD(dc_voltage), FIELD(ramp_s),       FIELD(effective_step)};
+  return {FIELD(unit),
+          FIELD(given),
+          FIELD(client),
+          FIELD(id),
+          FIELD(kind),
+          FIELD(source),
+          FIELD(policy),
+          FIELD(token),
+          FIELD(active_power),
+          FIELD(reactive_power),
+          FIELD(dc_voltage),
+          FIELD(ramp_s),
+          FIELD(lease_s),
+          FIELD(effective_step),
+          FIELD(grid_resistance_min),
+          FIELD(grid_resistance_max),
+          FIELD(grid_reactance_min),
+          FIELD(grid_reactance_max),
+          FIELD(grid_voltage_min),
+          FIELD(grid_voltage_max),
+          FIELD(name)};
 }
 
 WireFields list(const wire::SetpointDecision& m) {
   return {FIELD(unit),
           FIELD(id),
           FIELD(client),
+          FIELD(kind),
           FIELD(verdict),
           FIELD(field),
           FIELD(active_power),
           FIELD(reactive_power),
           FIELD(dc_voltage),
           FIELD(reference_id),
+          FIELD(renews),
           FIELD(ramp_steps),
+          FIELD(steps_to_reach),
           FIELD(effective_step),
+          FIELD(lease_end_step),
+          FIELD(reference_active_power),
+          FIELD(reference_reactive_power),
+          FIELD(reference_dc_voltage),
+          FIELD(fallback_active_power),
+          FIELD(fallback_reactive_power),
+          FIELD(fallback_dc_voltage),
+          FIELD(fallback_ramp_steps),
+          FIELD(offer_token),
+          FIELD(offer_is_detour),
+          FIELD(offer_active_power),
+          FIELD(offer_reactive_power),
+          FIELD(offer_dc_voltage),
+          FIELD(offer_valid_until_step),
+          FIELD(leaves_at_active_power),
+          FIELD(leaves_at_reactive_power),
+          FIELD(leaves_at_dc_voltage),
+          FIELD(holder_source),
+          FIELD(holder_name),
+          FIELD(held_until_step),
           FIELD(decided_step),
           FIELD(standing_reference_id),
           FIELD(request_fingerprint),
-          {"margins", sequence(m.margins(),
-                               [](const wire::LimitMargin& item) {
-                                 return to_text(value_of(item.limit())) + ":" + to_text(item.enforced()) +
-                                        ":" + to_text(item.margin());
-                               })},
+          {"margins",
+           sequence(m.margins(),
+                    [](const wire::LimitMargin& item) {
+                      std::string text = to_text(value_of(item.limit())) + ":" + to_text(item.enforced());
+                      for (const double number : {item.margin(), item.required(), item.grid_resistance(),
+                                                  item.grid_inductance_s(), item.grid_voltage()})
+                        text += ":" + to_text(number);
+                      return text;
+                    })},
           FIELD(text)};
 }
 

@@ -106,12 +106,12 @@ std::vector<mcap::Bytes> recording_seeds(const std::string& folder) {
 
 std::vector<std::string> settings_seeds() {
   Settings settings;
-  settings.gateway.grid_resistance = 0.1;
+  settings.gateway.grid_resistance = Interval{0.1, 0.2};
   Scenario& scenario = settings.scenario.emplace();
   scenario.title = "fuzz \"µ\"";
   scenario.end_s = 1.0;
   scenario.setpoints = {
-      {.at_s = 0.1, .active_power = 0.5, .reactive_power = {}, .dc_voltage = {}, .ramp_s = 0.1}};
+      {.at_s = 0.1, .active_power = 0.5, .reactive_power = {}, .dc_voltage = {}, .ramp_s = 0.1, .lease_s = 0.0}};
   scenario.events = {{.at_s = 0.2, .quantity = Quantity::source_power, .value = 1.0, .ramp_s = 0.0}};
   return {"", to_toml(Settings{}), to_toml(settings), "[unit]\nnumber = 0\n",
           "unit = { number = 1, domain = 2 }\n"};

@@ -150,14 +150,21 @@ TEST(NoHeap, MillionStepsOfControllerAndUnit) {
 
 TEST(NoHeap, ThousandsOfDecisions) {
   Arbiter::Configuration configuration;
-  configuration.grid.L_g = 0.3 / configuration.converter.omega;
+  const double L_g = 0.3 / configuration.converter.omega;
+  configuration.box = {{0.0, 0.05}, {0.8 * L_g, 1.2 * L_g}, {0.97, 1.03}};
+  configuration.loop = LoopModel{configuration.converter, 1.33e7, 6553.0, 1.44e9, 92.0};
   Arbiter arbiter(configuration);
   std::mt19937_64 bits(20'261'122);
   const auto uniform = [&bits] { return -1.5 + 3.0 * static_cast<double>(bits() >> 11) * 0x1p-53; };
-  std::array<std::uint64_t, 5> verdicts{};
+  std::array<std::uint64_t, 10> verdicts{};
   const std::uint64_t allocations = allocations_of([&] {
     for (std::uint32_t k = 1; k <= 20'000; ++k) {
       Request request;
+      request.who.name.text = {'a', 'n', 'n'};
+      request.kind = k % 5 == 0 ? static_cast<RequestKind>(k / 5 % 6) : RequestKind::set;
+      request.X_g = {0.2, 0.4};
+      request.V = {0.97, 1.03};
+      request.token = k % 64;
       request.client = k % 200;  // more than are remembered
       request.id = k % 7 == 0 ? k / 2 : k;
       request.given = static_cast<std::uint32_t>(bits() % 16);
@@ -171,7 +178,9 @@ TEST(NoHeap, ThousandsOfDecisions) {
     }
   });
   EXPECT_EQ(allocations, 0u);
-  for (const std::uint64_t count : verdicts) EXPECT_GE(count, 100u);
+  std::uint64_t met = 0;
+  for (const std::uint64_t count : verdicts) met += count > 0;
+  EXPECT_GE(met, 8u);
 }
 
 }  // namespace

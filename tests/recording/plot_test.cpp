@@ -135,7 +135,7 @@ TEST(Envelope, EachCurveIsWhereTheMarginOfItsLimitIsZero) {
   for (std::uint32_t seed = 1; seed <= law_count(200); ++seed) {
     SCOPED_TRACE("seed " + std::to_string(seed));
     Random random{seed};
-    Envelope envelope{.grid = {}, .converter = {}, .limits = {}, .v_c = uniform(random, 1.5, 2.4)};
+    Envelope envelope{.box = {}, .grid = {}, .converter = {}, .limits = {}, .v_c = uniform(random, 1.5, 2.4)};
     envelope.grid.V = uniform(random, 0.8, 1.1);
     if (seed % 4 != 0) envelope.grid.L_g = uniform(random, 0.0, 0.6) / envelope.converter.omega;
     if (seed % 4 > 1) envelope.grid.R_g = uniform(random, 0.0, 0.6);
@@ -155,7 +155,8 @@ TEST(Envelope, EachCurveIsWhereTheMarginOfItsLimitIsZero) {
 
 TEST(Envelope, AtThePapersWeakGridTheCurvesPassThroughItsNumbers) {
   const Converter converter;
-  const Envelope envelope{.grid = {0.0, 0.3 / converter.omega, 1.0},
+  const Envelope envelope{.box = box_of({0.0, 0.3 / converter.omega, 1.0}),
+                          .grid = {0.0, 0.3 / converter.omega, 1.0},
                           .converter = converter,
                           .limits = {},
                           .v_c = 1.3 * std::sqrt(2.0)};
@@ -179,9 +180,10 @@ TEST(Envelope, WhatIsShadedIsAdmissibleAndNothingElse) {
   for (std::uint32_t seed = 1; seed <= law_count(10); ++seed) {
     SCOPED_TRACE("seed " + std::to_string(seed));
     Random random{seed};
-    Envelope envelope{.grid = {}, .converter = {}, .limits = {}, .v_c = 1.3 * std::sqrt(2.0)};
+    Envelope envelope{.box = {}, .grid = {}, .converter = {}, .limits = {}, .v_c = 1.3 * std::sqrt(2.0)};
     envelope.grid.L_g = uniform(random, 0.0, 0.8) / envelope.converter.omega;
     envelope.grid.R_g = uniform(random, 0.0, 0.8);
+    envelope.box = box_of(envelope.grid);
     std::map<double, std::vector<AdmissibleSpan>> columns;
     for (const auto& area : admissible_areas(envelope, 1.5))
       for (const AdmissibleSpan& span : area) columns[span.p].push_back(span);

@@ -41,7 +41,7 @@ class Setpoints : public testing::Test {
   double margin(Limit limit, double p, double q) const {
     const Settings settings = load_settings(file_.path());
     const Arbiter::Configuration c = arbiter_configuration(settings);
-    const Assessment assessment = assess(c.grid, c.converter, c.limits, {p, q, c.initial.v_c});
+    const Assessment assessment = assess(c.box, c.converter, c.limits, {p, q, c.initial.v_c});
     const LimitMargin* found = assessment.margins.find(limit);
     return found != nullptr ? found->margin : nan;
   }
@@ -168,7 +168,9 @@ class RawRequest : public Setpoints {
 
   // The next decision on this request. Asks again, as every client does: the gateway may have found the
   // writer of requests before it found the reader of decisions.
-  std::optional<DecisionMessage> ask(const Request& request) {
+  std::optional<DecisionMessage> ask(Request request) {
+    // The bystander's, who holds authority.
+    if (request.who.name.empty()) request.who.name.text = {'s', 'o', 'm', 'e', 'b', 'o', 'd', 'y'};
     const std::size_t before = answer_count();
     std::optional<DecisionMessage> found;
     test::wait_until([&] {
@@ -244,6 +246,16 @@ TEST_F(RawRequest, AHostileOneIsRefusedAndChangesNothing) {
     hostile.push_back(good);
     hostile.back().ramp_s = wrong;
   }
+  for (const double wrong : {nan, inf, -1.0, 1e9}) {
+    hostile.push_back(good);
+    hostile.back().lease_s = wrong;
+    hostile.push_back(good);
+    hostile.back().kind = RequestKind::set_grid;
+    hostile.back().V = {1.0, 1.0};
+    hostile.back().X_g = {0.1, wrong};
+  }
+  hostile.push_back(good);
+  hostile.back().who.source = Source::protection;
   for (const std::uint32_t wrong : {0u, 8u, 15u, 0x8000'0001u, 0xffff'ffffu}) {
     hostile.push_back(good);
     hostile.back().given = wrong;

@@ -50,6 +50,9 @@ class Walk {
   void optional(const char* key, std::optional<double>& value, double low, double high) {
     change_.optional(full(key), value, low, high);
   }
+  void interval(const char* key, std::optional<Interval>& value, double low, double high) {
+    change_.interval(full(key), value, low, high);
+  }
   void count(const char* key, std::uint32_t& value, std::int64_t low, std::int64_t high) {
     change_.count(full(key), value, low, high);
   }
@@ -91,6 +94,14 @@ class Randomly {
   void optional(const std::string& key, std::optional<double>& value, double low, double high) {
     value.reset();
     if (generator_() % 2 == 0) number(key, value.emplace(), low, high);
+  }
+  void interval(const std::string& key, std::optional<Interval>& value, double low, double high) {
+    value.reset();
+    if (generator_() % 2 == 0) return;
+    value.emplace();
+    number(key, value->low, low, high);
+    number(key, value->high, low, high);
+    if (value->high < value->low || generator_() % 2 == 0) value->high = value->low;
   }
   void count(const std::string&, std::uint32_t& value, std::int64_t low, std::int64_t high) {
     value = static_cast<std::uint32_t>(std::uniform_int_distribution(low, high)(generator_));
@@ -143,6 +154,9 @@ class Printed {
   }
   void optional(const std::string& key, std::optional<double>& value, double, double) {
     line(key, value ? fmt::format("{:a}", *value) : "none");
+  }
+  void interval(const std::string& key, std::optional<Interval>& value, double, double) {
+    line(key, value ? fmt::format("{:a} {:a}", value->low, value->high) : "none");
   }
   void count(const std::string& key, std::uint32_t& value, std::int64_t, std::int64_t) {
     line(key, fmt::format("{}", value));
@@ -221,6 +235,9 @@ class OneByOne {
   void optional(const std::string& key, std::optional<double>& value, double low, double) {
     if (is_it(key)) value = value ? *value + 0.001 : low + 0.456;
   }
+  void interval(const std::string& key, std::optional<Interval>& value, double low, double) {
+    if (is_it(key)) value = Interval{low + 0.456, low + 0.5};
+  }
   void count(const std::string& key, std::uint32_t& value, std::int64_t, std::int64_t high) {
     if (is_it(key)) value = value < high ? value + 1 : value - 1;
   }
@@ -257,13 +274,21 @@ std::string derived(const Settings& s) {
       e.protection.v_c_max, e.protection.v_c_min, e.protection.max_holds, e.substeps, e.v_c);
   text += fmt::format("{} {:a} {:a} {:a} {:a} {:a} {:a}\n", static_cast<int>(c.law), c.settling_times_s[0],
                       c.settling_times_s[1], c.settling_times_s[2], c.kappa.re, c.rho, c.v_c);
-  text += fmt::format("{:a} {:a} {:a} {:a} {:a} {:a} {:a} {:a} {:a} {}\n", a.grid.R_g, a.grid.L_g, a.grid.V,
-                      a.limits.i_max, a.limits.v_p_min, a.limits.v_p_max, a.limits.v_c_min, a.limits.v_c_max,
-                      a.default_ramp_s, a.lead_steps);
+  text += fmt::format("{:a} {:a} {:a} {:a} {:a} {:a} {:a} {:a} {:a} {}\n", a.box.R_g.low, a.box.L_g.low,
+                      a.box.V.low, a.limits.i_max, a.limits.v_p_min, a.limits.v_p_max, a.limits.v_c_min,
+                      a.limits.v_c_max, a.default_ramp_s, a.lead_steps);
+  text += fmt::format("{:a} {:a} {:a} {:a} {:a} {:a}", a.limits.reserve.steady_state,
+                      a.limits.reserve.current, a.limits.reserve.control, a.limits.reserve.pcc_voltage,
+                      a.limits.reserve.dc_voltage, a.decay_min);
+  text += fmt::format("{:a} {:a} {:a} {:a} {:a} {:a}\n", a.default_lease_s, a.offer_s, a.fallback.p,
+                      a.fallback.q, a.fallback.v_c, a.fallback_ramp_s);
+  text += fmt::format("{} {} {:a} {:a} {}\n", e.starts_running, e.precharge_steps, e.protection.v_p_min,
+                      e.protection.v_p_max, e.protection.v_p_steps);
   text += fmt::format("{}\n", step_at(s, s.scenario->end_s));
   for (const auto& setpoint : s.scenario->setpoints) {
     const Request r = request(s, setpoint, 1, 1);
-    text += fmt::format("{} {:a} {:a} {:a} {:a} {}\n", r.given, r.p, r.q, r.v_c, r.ramp_s, r.effective_step);
+    text += fmt::format("{} {:a} {:a} {:a} {:a} {:a} {}\n", r.given, r.p, r.q, r.v_c, r.ramp_s, r.lease_s,
+                        r.effective_step);
   }
   for (const Event& event : events(s))
     text += fmt::format("{} {} {:a} {}\n", event.step, static_cast<int>(event.quantity), event.target,
@@ -274,8 +299,8 @@ std::string derived(const Settings& s) {
 TEST(Settings, EveryKeyHasAnEffect) {
   // Read by the services themselves: who they are, where they meet, how long the plant waits, what a run is
   // called.
-  const std::set<std::string> read_elsewhere{"unit.number", "unit.domain", "plant.patience_s",
-                                             "dds.interfaces", "scenario.title"};
+  const std::set<std::string> read_elsewhere{"unit.number",    "unit.domain",    "plant.patience_s",
+                                             "dds.interfaces", "scenario.title", "gateway.journal"};
   Settings settings;
   settings.scenario.emplace();
   settings.scenario->end_s = 1.0;
@@ -298,7 +323,7 @@ TEST(Settings, TheGatewayMayKnowAnotherGridThanThePlants) {
   const Settings settings =
       parse_settings("[grid]\nreactance = 0.1\n[gateway]\ngrid_reactance = 0.3\n", "two grids");
   EXPECT_DOUBLE_EQ(emulator_configuration(settings).grid.L_g * 100.0 * pi, 0.1);
-  EXPECT_DOUBLE_EQ(arbiter_configuration(settings).grid.L_g * 100.0 * pi, 0.3);
+  EXPECT_DOUBLE_EQ(arbiter_configuration(settings).box.L_g.high * 100.0 * pi, 0.3);
 }
 
 }  // namespace

@@ -130,18 +130,34 @@ TEST(Wire, ModulationIsReceivedAsSentBitForBit) {
   }
 }
 
+Holder random_holder(Random& random) {
+  Holder holder{static_cast<Source>(random.up_to(3)), {}};
+  const std::string text = random.text(23);
+  std::copy(text.begin(), text.end(), holder.name.text.begin());
+  return holder;
+}
+
 TEST(Wire, RequestIsReceivedAsSentBitForBit) {
   Random random;
   for (int n = 0; n < rounds; ++n) {
-    const Request sent{.client = random.whole<std::uint64_t>(),
-                       .id = random.whole<std::uint32_t>(),
-                       .given = random.whole<std::uint32_t>(),
-                       .p = random.real(),
-                       .q = random.real(),
-                       .v_c = random.real(),
-                       .ramp_s = random.real(),
-                       .effective_step = random.whole<std::uint64_t>()};
+    Request sent;
+    sent.client = random.whole<std::uint64_t>();
+    sent.id = random.whole<std::uint32_t>();
+    sent.kind = static_cast<RequestKind>(random.up_to(5));
+    sent.who = random_holder(random);
+    sent.policy = static_cast<Policy>(random.up_to(3));
+    sent.token = random.whole<std::uint32_t>();
+    sent.given = random.whole<std::uint32_t>();
+    for (double* number : {&sent.p, &sent.q, &sent.v_c, &sent.ramp_s, &sent.lease_s, &sent.R_g.low,
+                           &sent.R_g.high, &sent.X_g.low, &sent.X_g.high, &sent.V.low, &sent.V.high})
+      *number = random.real();
+    sent.effective_step = random.whole<std::uint64_t>();
     const Request received = sent_and_received(sent);
+    EXPECT_EQ(fingerprint(received), fingerprint(sent));
+    EXPECT_EQ(received.kind, sent.kind);
+    EXPECT_EQ(received.who, sent.who);
+    EXPECT_EQ(received.policy, sent.policy);
+    EXPECT_EQ(received.token, sent.token);
     EXPECT_EQ(received.client, sent.client);
     EXPECT_EQ(received.id, sent.id);
     EXPECT_EQ(received.given, sent.given);
@@ -193,23 +209,32 @@ TEST(Wire, ReferenceIsReceivedAsSentBitForBit) {
   }
 }
 
-// A decision with a reference carries its targets once, as the setpoint judged.
 DecisionMessage random_decision(Random& random) {
   DecisionMessage m;
   m.decision.client = random.whole<std::uint64_t>();
   m.decision.id = random.whole<std::uint32_t>();
-  m.decision.verdict = static_cast<Verdict>(random.up_to(4));
-  m.decision.field = static_cast<Field>(random.up_to(8));
+  m.decision.kind = static_cast<RequestKind>(random.up_to(5));
+  m.decision.verdict = static_cast<Verdict>(random.up_to(9));
+  m.decision.field = static_cast<Field>(random.up_to(11));
   m.decision.setpoint = {random.real(), random.real(), random.real()};
-  for (std::uint32_t n = random.up_to(limit_count); n > 0; --n)
-    m.decision.margins.add({static_cast<Limit>(random.up_to(7)), random.flag(), random.real()});
+  m.decision.leaves_at = {random.real(), random.real(), random.real()};
+  m.decision.holder = random_holder(random);
+  m.decision.held_until_step = random.whole<std::uint64_t>();
+  m.decision.steps_to_reach = random.whole<std::uint32_t>();
+  for (std::uint32_t n = random.up_to(margin_count); n > 0; --n)
+    m.decision.margins.add({static_cast<Limit>(random.up_to(9)),
+                            random.flag(),
+                            random.real(),
+                            random.real(),
+                            {random.real(), random.real(), random.real()}});
+  if (random.flag())
+    m.decision.offer = Offer{random.whole<std::uint32_t>() | 1,
+                             {random.real(), random.real(), random.real()},
+                             random.flag(),
+                             random.whole<std::uint64_t>()};
   if (random.flag()) {
-    m.decision.reference = Reference{.id = random.whole<std::uint32_t>() | 1,
-                                     .p = m.decision.setpoint.p,
-                                     .q = m.decision.setpoint.q,
-                                     .v_c = m.decision.setpoint.v_c,
-                                     .effective_step = random.whole<std::uint64_t>(),
-                                     .ramp_steps = random.whole<std::uint32_t>()};
+    m.decision.reference = random_reference(random);
+    m.decision.reference->id |= 1;
   }
   m.decision.decided_step = random.whole<std::uint64_t>();
   m.decision.standing_reference_id = random.whole<std::uint32_t>();
@@ -227,6 +252,18 @@ TEST(Wire, DecisionIsReceivedAsSentBitForBit) {
     const Decision &in = received.decision, &out = sent.decision;
     EXPECT_EQ(in.client, out.client);
     EXPECT_EQ(in.id, out.id);
+    EXPECT_EQ(in.kind, out.kind);
+    EXPECT_EQ(in.holder, out.holder);
+    EXPECT_EQ(in.held_until_step, out.held_until_step);
+    EXPECT_EQ(in.steps_to_reach, out.steps_to_reach);
+    EXPECT_SAME_BITS(in.leaves_at.q, out.leaves_at.q);
+    ASSERT_EQ(in.offer.has_value(), out.offer.has_value());
+    if (out.offer) {
+      EXPECT_EQ(in.offer->token, out.offer->token);
+      EXPECT_SAME_BITS(in.offer->setpoint.p, out.offer->setpoint.p);
+      EXPECT_EQ(in.offer->is_detour, out.offer->is_detour);
+      EXPECT_EQ(in.offer->valid_until_step, out.offer->valid_until_step);
+    }
     EXPECT_EQ(in.verdict, out.verdict);
     EXPECT_EQ(in.field, out.field);
     EXPECT_EQ(in.decided_step, out.decided_step);
@@ -240,6 +277,8 @@ TEST(Wire, DecisionIsReceivedAsSentBitForBit) {
       EXPECT_EQ(in.margins.begin()[k].limit, out.margins.begin()[k].limit);
       EXPECT_EQ(in.margins.begin()[k].enforced, out.margins.begin()[k].enforced);
       EXPECT_SAME_BITS(in.margins.begin()[k].margin, out.margins.begin()[k].margin);
+      EXPECT_SAME_BITS(in.margins.begin()[k].required, out.margins.begin()[k].required);
+      EXPECT_SAME_BITS(in.margins.begin()[k].grid.L_g, out.margins.begin()[k].grid.L_g);
     }
     ASSERT_EQ(in.reference.has_value(), out.reference.has_value());
     if (out.reference) expect_same(*in.reference, *out.reference);
@@ -488,13 +527,13 @@ TEST(Wire, EnumeratorOutOfRangeIsRefused) {
   DecisionMessage decision;
   decision.decision.margins.add({Limit::current, true, 0.1});
   expect_enumerators_refused<wire::SetpointDecision>(
-      decision, wire::UNIT_BLOCKED,
+      decision, wire::NOTHING_STANDS,
       [](auto& wire, std::uint32_t value) { wire.verdict(static_cast<wire::Verdict>(value)); });
   expect_enumerators_refused<wire::SetpointDecision>(
-      decision, wire::DC_VOLTAGE_MAX,
+      decision, wire::TRANSIENT,
       [](auto& wire, std::uint32_t value) { wire.margins()[0].limit(static_cast<wire::LimitName>(value)); });
   expect_enumerators_refused<wire::SetpointDecision>(
-      decision, wire::FIELD_EFFECTIVE_STEP,
+      decision, wire::FIELD_GRID,
       [](auto& wire, std::uint32_t value) { wire.field(static_cast<wire::RequestField>(value)); });
   expect_enumerators_refused<wire::Operation>(Operation{}, wire::STOP, [](auto& wire, std::uint32_t value) {
     wire.kind(static_cast<wire::OperationKind>(value));
@@ -540,7 +579,7 @@ TEST(Wire, EveryEnumeratorHasItsNameInTheContract) {
 TEST(Wire, MoreMarginsThanThereAreLimitsAreRefused) {
   wire::SetpointDecision wire;
   encode(DecisionMessage{}, wire);
-  wire.margins().resize(limit_count + 1);
+  wire.margins().resize(margin_count + 1);
   DecisionMessage received;
   EXPECT_FALSE(decode(wire, received));
 }

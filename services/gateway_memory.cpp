@@ -1,0 +1,116 @@
+// Gateway's memory: see the header.
+#include "services/gateway_memory.hpp"
+
+#include <algorithm>
+#include <filesystem>
+#include <nlohmann/json.hpp>
+
+#include "services/decision_json.hpp"
+#include "services/decision_text.hpp"
+
+namespace weakgrid {
+
+namespace {
+
+nlohmann::json order(const Reference& r) {
+  return {{"id", r.id},
+          {"renews", r.renews},
+          {"active_power", r.p},
+          {"reactive_power", r.q},
+          {"dc_voltage", r.v_c},
+          {"effective_step", r.effective_step},
+          {"ramp_steps", r.ramp_steps},
+          {"lease_end_step", r.lease_end_step},
+          {"fallback_active_power", r.fallback_p},
+          {"fallback_reactive_power", r.fallback_q},
+          {"fallback_dc_voltage", r.fallback_v_c},
+          {"fallback_ramp_steps", r.fallback_ramp_steps}};
+}
+
+Reference order(const nlohmann::json& j) {
+  return {.id = j.at("id"),
+          .p = j.at("active_power"),
+          .q = j.at("reactive_power"),
+          .v_c = j.at("dc_voltage"),
+          .effective_step = j.at("effective_step"),
+          .ramp_steps = j.at("ramp_steps"),
+          .renews = j.at("renews"),
+          .lease_end_step = j.at("lease_end_step"),
+          .fallback_p = j.at("fallback_active_power"),
+          .fallback_q = j.at("fallback_reactive_power"),
+          .fallback_v_c = j.at("fallback_dc_voltage"),
+          .fallback_ramp_steps = j.at("fallback_ramp_steps")};
+}
+
+nlohmann::json range(Interval x) { return {x.low, x.high}; }
+Interval range(const nlohmann::json& j) { return {j.at(0), j.at(1)}; }
+
+nlohmann::json asked(const Request& r) {
+  nlohmann::json out{{"id", r.id},
+                     {"kind", name(r.kind)},
+                     {"name", r.who.name.text.data()},
+                     {"source", name(r.who.source)},
+                     {"given", r.given},
+                     {"active_power", r.p},
+                     {"reactive_power", r.q},
+                     {"dc_voltage", r.v_c},
+                     {"ramp_s", r.ramp_s},
+                     {"lease_s", r.lease_s},
+                     {"token", r.token},
+                     {"effective_step", r.effective_step}};
+  if (r.kind == RequestKind::set_grid)
+    out["grid"] = {{"resistance", range(r.R_g)}, {"reactance", range(r.X_g)}, {"voltage", range(r.V)}};
+  return out;
+}
+
+}  // namespace
+
+GatewayMemory recall(const std::string& path, std::uint32_t unit) {
+  GatewayMemory memory;
+  if (!std::filesystem::exists(path)) return memory;
+  read_journal(path, [&](const JournalEntry& entry, const JournalPlace&) {
+    const nlohmann::json& body = entry.body;
+    if (body.value("unit", 0u) != unit) return;
+    if (body.contains("order")) memory.reference = order(body["order"]);
+    if (body.contains("authority")) {
+      const nlohmann::json& held = body["authority"];
+      Holder holder;
+      const std::string text = held.at("name");
+      std::copy_n(text.begin(), std::min(text.size(), holder.name.text.size() - 1), holder.name.text.begin());
+      holder.source = static_cast<Source>(std::min(held.at("priority").get<int>(), int(Source::protection)));
+      memory.authority.give(holder, held.at("until_step"));
+    }
+    if (body.contains("request") && body["request"].contains("grid") && body.value("accepted", false)) {
+      const nlohmann::json& grid = body["request"]["grid"];
+      memory.resistance = range(grid.at("resistance"));
+      memory.reactance = range(grid.at("reactance"));
+      memory.voltage = range(grid.at("voltage"));
+    }
+  });
+  return memory;
+}
+
+bool note(Journal& journal, std::uint32_t unit, const Request& request, const Decision& decision,
+          const Timing& timing) {
+  nlohmann::json body{{"unit", unit},
+                      {"client", request.client},
+                      {"step", decision.decided_step},
+                      {"accepted", decision.verdict == Verdict::accepted},
+                      {"request", asked(request)},
+                      {"decision", to_json(decision, timing)},
+                      {"text", describe(decision, timing)}};
+  if (decision.reference) body["order"] = order(*decision.reference);
+  body["authority"] = {{"name", decision.holder.name.text.data()},
+                       {"priority", static_cast<int>(decision.holder.source)},
+                       {"until_step", decision.held_until_step}};
+  return journal.append("decision", std::move(body));
+}
+
+bool note(Journal& journal, std::uint32_t unit, const std::string& kind, const std::string& text,
+          const std::optional<Reference>& reference, std::uint64_t step) {
+  nlohmann::json body{{"unit", unit}, {"step", step}, {"text", text}};
+  if (reference) body["order"] = order(*reference);
+  return journal.append(kind, std::move(body));
+}
+
+}  // namespace weakgrid

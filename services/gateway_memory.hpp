@@ -1,0 +1,28 @@
+// What a gateway writes into its journal, and what a restarted one reads there: which reference stood, who
+// held authority, what was known of the grid.
+#pragma once
+
+#include <optional>
+#include <string>
+
+#include "services/journal/journal.hpp"
+#include "services/runtime/settings.hpp"
+
+namespace weakgrid {
+
+struct GatewayMemory {
+  std::optional<Reference> reference;  ///< the last issued
+  Authority authority;
+  std::optional<Interval> resistance, reactance, voltage;  ///< of the grid, if an operator has told
+};
+
+/// Of this unit. An empty memory if there is no such file yet; throws as read_journal does.
+GatewayMemory recall(const std::string& path, std::uint32_t unit);
+
+/// One line each, before anybody hears of it. False: see Journal::append.
+bool note(Journal& journal, std::uint32_t unit, const Request& request, const Decision& decision,
+          const Timing& timing);
+bool note(Journal& journal, std::uint32_t unit, const std::string& kind, const std::string& text,
+          const std::optional<Reference>& reference, std::uint64_t step);
+
+}  // namespace weakgrid
