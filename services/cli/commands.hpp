@@ -20,6 +20,8 @@ Command add_accept(CLI::App& app);
 Command add_renew(CLI::App& app);
 Command add_authority(CLI::App& app);
 Command add_grid(CLI::App& app);
+Command add_envelope(CLI::App& app);
+Command add_schedule(CLI::App& app);
 Command add_status(CLI::App& app);
 Command add_operate(CLI::App& app);
 Command add_info(CLI::App& app);

@@ -134,6 +134,9 @@ void GatewayReplica::decide(const DecisionMessage& message) {
       arbiter_->adopt(*recorded.reference);
       newest_ = recorded.reference->id;
     }
+    Authority held;
+    held.give(recorded.holder, recorded.held_until_step);
+    arbiter_->adopt(held);
     return;
   }
   const bool is_stale_id = recorded.verdict == Verdict::stale_request && recorded.field == Field::id;

@@ -62,8 +62,12 @@ std::size_t files_in(const std::string& folder) {
 }
 
 const std::string reference_head =
-    "log_time_ns,publish_time_ns,writer,sequence,unit,id,ramp_steps,active_power,reactive_power,dc_voltage,"
-    "effective_step\n";
+    "log_time_ns,publish_time_ns,writer,sequence,unit,id,renews,ramp_steps,active_power,reactive_power,dc_"
+    "voltage,"
+    "effective_step,lease_end_step,fallback_active_power,fallback_reactive_power,fallback_dc_voltage,"
+    "fallback_ramp_steps\n";
+// Of a reference without a lease, from its ramp on.
+const std::string reference_tail = ",0,7,0.1,-0,1e+300,9,0,0,0,1.8384776310850235,0\n";
 
 TEST(Export, EveryFieldIsAColumnAndNumbersAreExact) {
   const Folder folder;
@@ -74,9 +78,8 @@ TEST(Export, EveryFieldIsAColumnAndNumbersAreExact) {
   const test::Ended ended = run_export({folder / "a.mcap"}, folder / "new/csv");
   EXPECT_EQ(ended.status, 0) << ended.err;
   EXPECT_EQ(ended.err, "");
-  EXPECT_EQ(
-      text_of(folder / "new/csv/weakgrid_reference.csv"),
-      reference_head + "1001,901,01|2,1,3,1,7,0.1,-0,1e+300,9\n1002,902,01|2,2,3,2,7,0.1,-0,1e+300,9\n");
+  EXPECT_EQ(text_of(folder / "new/csv/weakgrid_reference.csv"),
+            reference_head + "1001,901,01|2,1,3,1" + reference_tail + "1002,902,01|2,2,3,2" + reference_tail);
 }
 
 TEST(Export, TextsAreQuotedWhereRfc4180AsksForIt) {
@@ -120,7 +123,7 @@ TEST(Export, PartsFollowEachOtherInOneTable) {
     recording.close();
   }
   EXPECT_EQ(run_export({folder / "a.mcap", folder / "a_0002.mcap"}, folder / "csv").status, 0);
-  const std::string row = "1001,901,01|2,1,3,5,7,0.1,-0,1e+300,9\n";
+  const std::string row = "1001,901,01|2,1,3,5" + reference_tail;
   EXPECT_EQ(text_of(folder / "csv/r.csv"), reference_head + row + row);
 }
 
@@ -208,7 +211,7 @@ TEST(Export, WhatIsNotOfItsTypeIsLeftOutAndCounted) {
   const test::Ended ended = run_export({folder / "a.mcap"}, folder / "csv");
   EXPECT_EQ(ended.status, 1);
   EXPECT_NE(ended.err.find("r: 2 messages are not of the type"), std::string::npos) << ended.err;
-  EXPECT_EQ(text_of(folder / "csv/r.csv"), reference_head + "1001,901,01|2,1,3,1,7,0.1,-0,1e+300,9\n");
+  EXPECT_EQ(text_of(folder / "csv/r.csv"), reference_head + "1001,901,01|2,1,3,1" + reference_tail);
 }
 
 TEST(Export, AnotherIdlIsSaidCommentsDoNotMatter) {

@@ -394,7 +394,9 @@ TEST(Verify, OneFlippedBitInAnyInputIsReportedAtItsStep) {
     ASSERT_GT(findings.differences.count(), 0u) << words(findings);
     const auto& kept = findings.differences.kept();
     const bool is_found = std::any_of(kept.begin(), kept.end(), [&](const Difference& d) {
-      return d.step == expected && (type != "Manifest" || d.what == "manifest" || d.what == "message");
+      // Bytes that are no message any more have no step.
+      if (d.what == "message") return true;
+      return d.step == expected && (type != "Manifest" || d.what == "manifest");
     });
     EXPECT_TRUE(is_found) << words(findings);
     std::filesystem::remove(file);
@@ -435,8 +437,9 @@ TEST(Verify, OtherSettingsTellHowTheOutcomeDiffers) {
   const json& outcome = report["what_if"][0];
   EXPECT_NE(outcome["recorded"]["mean |q - q_r|"], outcome["other"]["mean |q - q_r|"]);
   EXPECT_GT(outcome["other"]["v_c min"], 1.5) << "still held";
-  EXPECT_EQ(report["gateways"][0]["decisions_identical"], 3)
-      << "the gains are none of the gateway's business";
+  const json& gateway = report["gateways"][0];
+  EXPECT_LT(gateway["decisions_identical"], 3) << "the decay is another with other gains";
+  EXPECT_EQ(gateway["accepted_recorded"], gateway["accepted_computed"]) << "but enough";
 }
 
 TEST(Verify, RefusesWhatIsNoRecordingAndSaysWhenThereIsNothingToCompare) {

@@ -1,0 +1,118 @@
+// weakgrid schedule: timed setpoints, checked as a whole before the first is sent.
+#include <fmt/format.h>
+
+#include <nlohmann/json.hpp>
+
+#include "services/cli/client.hpp"
+#include "services/cli/commands.hpp"
+#include "services/decision_json.hpp"
+#include "services/decision_text.hpp"
+#include "services/runtime/program.hpp"
+
+namespace weakgrid {
+
+namespace {
+
+constexpr Patience long_enough{5000};
+
+// What the gateway that runs goes by.
+Settings settings_of_gateway(const Client& client) {
+  for (const Manifest& manifest : client.manifests())
+    if (manifest.service == "gateway") return parse_settings(manifest.settings, "the gateway's manifest");
+  throw std::runtime_error("the gateway's manifest does not come");
+}
+
+}  // namespace
+
+Command add_schedule(CLI::App& app) {
+  struct Options {
+    Where where;
+    std::string file, name = "schedule";
+    bool check = false, json = false;
+  };
+  auto options = std::make_shared<Options>();
+  CLI::App* command = app.add_subcommand(
+      "schedule", "Plays the timed setpoints of a file's [scenario], all of them checked before the first.");
+  command->add_option("file", options->file, "settings file with [scenario] and its setpoints")->required();
+  command->add_option("--name", options->name, "in whose name, at most 23 bytes")->capture_default_str();
+  command->add_flag("--check", options->check, "check only");
+  command->add_flag("--json", options->json, "print JSON, one line a decision");
+  add_where(*command, options->where);
+  command->footer(
+      "Example: weakgrid schedule deploy/settings/paper-weak.toml --unit 1\n"
+      "Its source is schedule: an operator may take over. Each lease ends a second after the next is due.\n"
+      "Exit: 0 all accepted, 1 one is not, 2 bad file, 3 no gateway answers.");
+  return [options] {
+    StopSignal stop;
+    const Settings file = load_scenario(options->file);
+    if (file.scenario->setpoints.empty())
+      throw SettingsError(options->file + ": scenario.setpoint: missing; a schedule needs at least one");
+    const Settings settings = options->where.settings();
+    Client client(settings.unit.domain, settings.unit.number, settings.dds.interfaces);
+    if (!client.wait_for("gateway", long_enough,
+                         [](const Health& h) { return h.state == ServiceState::running; }))
+      throw std::runtime_error(fmt::format("no gateway of unit {} in domain {}; is weakgrid-gateway running?",
+                                           settings.unit.number, settings.unit.domain));
+    for (int k = 0; k < 100 && client.manifests().empty(); ++k) (void)stop.wait(Patience(50));
+    const Settings known = settings_of_gateway(client);
+    const Timing unit_timing = timing(known);
+
+    std::vector<Request> requests;
+    const auto& setpoints = file.scenario->setpoints;
+    for (std::size_t k = 0; k < setpoints.size(); ++k) {
+      Request asked = request(known, setpoints[k], 1, static_cast<std::uint32_t>(k + 1));
+      const double next_s = k + 1 < setpoints.size() ? setpoints[k + 1].at_s : file.scenario->end_s;
+      asked.lease_s = next_s - setpoints[k].at_s + 1.0;
+      asked.who.source = Source::schedule;
+      asked.who.name = {};
+      std::copy_n(options->name.begin(), std::min(options->name.size(), asked.who.name.text.size() - 1),
+                  asked.who.name.text.begin());
+      requests.push_back(asked);
+    }
+    const auto print = [&](const Decision& decision, double at_s) {
+      if (options->json)
+        fmt::print("{}\n", to_json(decision, unit_timing).dump());
+      else
+        fmt::print("{:>10.3f} s  {}\n", at_s, describe(decision, unit_timing));
+      std::fflush(stdout);
+    };
+    Arbiter rehearsal(arbiter_configuration(known));
+    bool good = true;
+    for (std::size_t k = 0; k < requests.size(); ++k) {
+      Request asked = requests[k];
+      asked.effective_step += 1000;
+      const Decision decision = rehearsal.decide(asked, asked.effective_step - 1);
+      if (decision.verdict == Verdict::accepted && !options->check) continue;
+      print(decision, setpoints[k].at_s);
+      good = good && decision.verdict == Verdict::accepted;
+    }
+    if (!good) fmt::print(stderr, "weakgrid: the schedule is not admissible; nothing was sent\n");
+    if (!good || options->check) return good ? exit_done : exit_no;
+
+    const auto step_of_unit = [&] {
+      std::uint64_t step = 0;
+      for (const auto& [key, health] : client.peers())
+        if (key.first == "plant" && health.state != ServiceState::stopped) step = std::max(step, health.step);
+      return step;
+    };
+    const std::uint64_t lead = std::uint64_t{200'000'000} / static_cast<std::uint64_t>(unit_timing.period_ns);
+    const std::uint64_t begin = step_of_unit() + 5 * lead;
+    for (std::size_t k = 0; k < requests.size(); ++k) {
+      Request asked = requests[k];
+      asked.effective_step += begin;
+      while (step_of_unit() + 4 * lead < asked.effective_step)
+        if (stop.wait(Patience(20))) return exit_no;
+      auto answer = client.ask(asked, long_enough);
+      if (answer && answer->decision.verdict == Verdict::stale_request) {
+        asked.effective_step = 0;  // the unit runs faster than its health tells: as soon as possible
+        answer = client.ask(asked, long_enough);
+      }
+      if (!answer) throw std::runtime_error("the gateway does not answer any more");
+      print(answer->decision, setpoints[k].at_s);
+      if (answer->decision.verdict != Verdict::accepted) return exit_no;
+    }
+    return exit_done;
+  };
+}
+
+}  // namespace weakgrid

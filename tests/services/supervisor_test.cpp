@@ -1,0 +1,183 @@
+// The supervisor as people meet it, real processes over DDS: offers, authority, leases, a client and a
+// gateway that die, and the journal that tells why.
+#include <gtest/gtest.h>
+#include <unistd.h>
+
+#include <filesystem>
+#include <nlohmann/json.hpp>
+#include <random>
+
+#include "tests/services/bystander.hpp"
+
+namespace weakgrid {
+namespace {
+
+using nlohmann::json;
+
+class Supervised : public testing::Test {
+ protected:
+  void SetUp() override {
+    for (const char* service : {"plant", "controller", "gateway"}) services_.start(service);
+    bystander_.emplace(domain_);
+    ASSERT_TRUE(bystander_->runs());
+  }
+  void TearDown() override { std::filesystem::remove(journal_); }
+
+  test::Ended weakgrid(std::vector<std::string> arguments) {
+    arguments.insert(arguments.end(), {"--domain", domain_.text()});
+    return test::run("weakgrid", arguments);
+  }
+  // With --json; what it says, and how it ended.
+  std::pair<json, int> ask(std::vector<std::string> arguments) {
+    arguments.insert(arguments.end(), {"--timeout", "60", "--json"});
+    const test::Ended ended = weakgrid(std::move(arguments));
+    return {json::parse(ended.out, nullptr, false), ended.status};
+  }
+  std::uint64_t entries(const std::string& kind) {
+    const test::Ended ended = test::run("weakgrid", {"journal", journal_, "--kind", kind});
+    return static_cast<std::uint64_t>(std::count(ended.out.begin(), ended.out.end(), '\n'));
+  }
+  void expect_intact_journal() {
+    const test::Ended ended = test::run("weakgrid", {"journal", journal_, "--verify"});
+    EXPECT_EQ(ended.status, 0) << ended.out << ended.err;
+  }
+
+  const test::Domain domain_;
+  const std::string journal_ = std::filesystem::temp_directory_path() /
+                               ("weakgrid_supervised_" + std::to_string(::getpid()) + ".journal");
+  const test::TextFile file_{
+      "[grid]\nreactance = 0.3\n[gateway]\ngrid_reactance = [0.25, 0.35]\nfallback_ramp_s = 0.05\njournal = "
+      "\"" +
+      journal_ + "\"\n"};
+  test::Services services_{domain_, file_.path()};
+  std::optional<test::Bystander> bystander_;
+};
+
+TEST_F(Supervised, ARefusalIsExplainedAndItsOfferAcceptedByToken) {
+  auto [refused, status] = ask({"set", "--p", "0.7", "--q", "-0.5", "--keep", "p"});
+  ASSERT_EQ(status, 1) << refused.dump(2);
+  EXPECT_EQ(refused["verdict"], "outside the envelope");
+  const bool names_a_grid =
+      std::any_of(refused["margins"].begin(), refused["margins"].end(),
+                  [](const json& m) { return m["violated"] && m["grid_inductance_s"] > 0.0; });
+  EXPECT_TRUE(names_a_grid) << refused["margins"].dump(2);
+  ASSERT_TRUE(refused.contains("offer")) << refused.dump(2);
+  EXPECT_EQ(refused["offer"]["active_power"], 0.7);
+  const auto [accepted, done] = ask({"accept", std::to_string(refused["offer"]["token"].get<int>())});
+  ASSERT_EQ(done, 0) << accepted.dump(2);
+  EXPECT_EQ(accepted["reference"]["reactive_power"], refused["offer"]["reactive_power"]);
+  EXPECT_TRUE(bystander_->settles_at(0.7, refused["offer"]["reactive_power"].get<double>()));
+  EXPECT_EQ(ask({"accept", "4711"}).second, 1);
+  expect_intact_journal();
+  EXPECT_EQ(entries("decision"), 3u);
+}
+
+TEST_F(Supervised, WhoHasNoAuthorityIsToldWhoHasAndAHigherSourceTakesOver) {
+  ASSERT_EQ(ask({"set", "--p", "0.3", "--as", "schedule", "--name", "plan"}).second, 0);
+  auto [refused, status] = ask({"set", "--p", "0.2", "--name", "ann"});
+  EXPECT_EQ(status, 1);
+  EXPECT_EQ(refused["verdict"], "not authorised");
+  EXPECT_EQ(refused["holder"]["name"], "plan");
+  ASSERT_EQ(ask({"authority", "take", "--name", "ann"}).second, 0);
+  ASSERT_EQ(ask({"set", "--p", "0.2", "--name", "ann"}).second, 0);
+  EXPECT_TRUE(bystander_->settles_at(0.2, 0.0));
+  const auto [lost, no] = ask({"renew", "--as", "schedule", "--name", "plan"});
+  EXPECT_EQ(no, 1);
+  EXPECT_EQ(lost["holder"]["name"], "ann") << "the loser is told";
+  EXPECT_EQ(entries("authority"), 1u) << "and it is written down";
+  ASSERT_EQ(ask({"authority", "release", "--name", "ann"}).second, 0);
+  EXPECT_EQ(ask({"set", "--p", "0.25", "--name", "bob"}).second, 0);
+}
+
+TEST_F(Supervised, AKilledClientLeavesNoSetpointBehind) {
+  test::Program holding("weakgrid",
+                        {"set", "--p", "0.4", "--lease", "3", "--hold", "--domain", domain_.text()});
+  ASSERT_TRUE(bystander_->settles_at(0.4, 0.0));
+  // Longer than a lease: it is renewed, and the renewals move nothing.
+  const std::uint64_t from = bystander_->measurement()->step;
+  ASSERT_TRUE(test::wait_until([&] { return bystander_->measurement()->step > from + 45'000; }));
+  ASSERT_TRUE(bystander_->settles_at(0.4, 0.0));
+  EXPECT_EQ(bystander_->count("plant", "lease_ends"), 0u);
+  holding.kill();
+  ASSERT_TRUE(bystander_->settles_at(0.0, 0.0));
+  EXPECT_TRUE(test::wait_until([&] { return bystander_->count("plant", "lease_ends") == 1; }));
+  EXPECT_TRUE(test::wait_until([&] { return bystander_->count("controller", "lease_ends") == 1; }));
+  EXPECT_TRUE(test::wait_until([&] { return entries("lease_end") == 1; })) << "the journal names the cause";
+  expect_intact_journal();
+}
+
+TEST_F(Supervised, AKilledGatewayGoesOnWhereItsJournalEnds) {
+  const std::uint32_t seed = std::random_device{}();
+  SCOPED_TRACE("seed " + std::to_string(seed));
+  std::mt19937 random(seed);
+  ASSERT_EQ(ask({"set", "--p", "0.3", "--q", "0.1", "--name", "ann", "--lease", "3000"}).second, 0);
+  for (int n = 0; n < 4; ++n) {
+    std::this_thread::sleep_for(test::milliseconds(random() % 300));
+    services_["gateway"].kill();
+    ASSERT_TRUE(bystander_->goes_on());
+    services_.start("gateway");
+    // Who holds authority and what stands are known to the new one.
+    const auto [refused, no] = ask({"set", "--q", "0.2", "--name", "bob"});
+    ASSERT_EQ(no, 1);
+    EXPECT_EQ(refused["verdict"], "not authorised") << refused.dump(2);
+    EXPECT_EQ(refused["holder"]["name"], "ann");
+    const double q = 0.1 + 0.02 * (n + 1);
+    const auto [accepted, yes] = ask({"set", "--q", std::to_string(q), "--name", "ann", "--lease", "3000"});
+    ASSERT_EQ(yes, 0) << accepted.dump(2);
+    EXPECT_EQ(accepted["active_power"], 0.3) << "what was not asked for stays";
+    ASSERT_TRUE(bystander_->settles_at(0.3, q));
+  }
+  expect_intact_journal();
+  EXPECT_EQ(entries("started"), 5u);
+  EXPECT_EQ(entries("decision"), 9u);
+}
+
+TEST_F(Supervised, AGridToldWeakerDeratesAndTheNextGatewayKnowsIt) {
+  ASSERT_EQ(ask({"set", "--p", "0.9", "--q", "0.1", "--name", "ann"}).second, 0);
+  const auto [derated, done] = ask({"grid", "--reactance", "0.25", "0.62", "--name", "ann"});
+  ASSERT_EQ(done, 0) << derated.dump(2);
+  ASSERT_TRUE(derated.contains("reference")) << derated.dump(2);
+  const double p = derated["reference"]["active_power"], q = derated["reference"]["reactive_power"];
+  EXPECT_TRUE(bystander_->settles_at(p, q));
+  services_["gateway"].kill();
+  services_.start("gateway");
+  const auto [refused, no] = ask({"set", "--p", "0.9", "--q", "0.1", "--name", "ann"});
+  EXPECT_EQ(no, 1) << "the grid it was told of is remembered: " << refused.dump(2);
+}
+
+TEST_F(Supervised, AScheduleIsCheckedAsAWholeBeforeTheFirstIsSent) {
+  const test::TextFile bad(
+      "[scenario]\nend_s = 1.0\n[[scenario.setpoint]]\nat_s = 0.1\nactive_power = 0.2\n"
+      "[[scenario.setpoint]]\nat_s = 0.4\nactive_power = 0.7\nreactive_power = -0.7\n");
+  const test::Ended refused = weakgrid({"schedule", bad.path()});
+  EXPECT_EQ(refused.status, 1) << refused.out << refused.err;
+  EXPECT_NE(refused.err.find("nothing was sent"), std::string::npos) << refused.err;
+  EXPECT_TRUE(bystander_->references().empty());
+  const test::TextFile good(
+      "[scenario]\nend_s = 2.0\n[[scenario.setpoint]]\nat_s = 0.1\nactive_power = 0.2\n"
+      "[[scenario.setpoint]]\nat_s = 0.6\nactive_power = 0.3\nreactive_power = 0.1\n");
+  const test::Ended played = weakgrid({"schedule", good.path()});
+  EXPECT_EQ(played.status, 0) << played.out << played.err;
+  EXPECT_TRUE(bystander_->settles_at(0.3, 0.1));
+  EXPECT_TRUE(bystander_->settles_at(0.0, 0.0)) << "it ends, and so does its lease";
+}
+
+TEST(EnvelopeCommand, TellsMarginsAndTheAreaOfAGridOrABox) {
+  const test::Ended point =
+      test::run("weakgrid", {"envelope", "--reactance", "0.3", "--p", "0.707", "--q", "0.707"});
+  EXPECT_EQ(point.status, 0) << point.out << point.err;
+  EXPECT_NE(point.out.find("current limit"), std::string::npos);
+  const test::Ended box =
+      test::run("weakgrid", {"envelope", "--reactance", "0.2", "0.6", "--p", "0.9", "--q", "-0.2", "--json"});
+  EXPECT_EQ(box.status, 1) << box.out;
+  EXPECT_TRUE(json::parse(box.out, nullptr, false).contains("margins"));
+  const auto lines = [](const std::string& text) { return std::count(text.begin(), text.end(), '\n'); };
+  const test::Ended area = test::run("weakgrid", {"envelope", "--reactance", "0.3", "--csv"});
+  const test::Ended smaller = test::run("weakgrid", {"envelope", "--reactance", "0.3", "0.5", "--csv"});
+  EXPECT_GT(lines(area.out), 100);
+  EXPECT_LT(lines(smaller.out), lines(area.out));
+  EXPECT_EQ(test::run("weakgrid", {"envelope", "--reactance", "0.5", "0.3"}).status, 2);
+}
+
+}  // namespace
+}  // namespace weakgrid
