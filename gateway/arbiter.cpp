@@ -314,7 +314,8 @@ double Arbiter::decay_over_box(const Setpoint& setpoint, Grid& where) const noex
   double slowest = std::numeric_limits<double>::infinity();
   const auto consider = [&](const Grid& grid) {
     const SteadyState at = steady_state({grid.R_g, omega * grid.L_g}, grid.V, {setpoint.p, setpoint.q});
-    const double decay = loop_decay(*configuration_.loop, grid, at.v_p, at.i);
+    const double decay =
+        loop_decay(*configuration_.loop, grid, at.v_p, at.i, configuration_.decay_min + 10.0);
     if (!(decay >= slowest)) {
       slowest = decay;
       where = grid;

@@ -54,11 +54,12 @@ std::array<double, n> scales(const LoopModel& m) noexcept {
 
 }  // namespace
 
-double loop_decay(const LoopModel& model, const Grid& grid, SpaceVector v_p, SpaceVector i) noexcept {
+double loop_decay(const LoopModel& model, const Grid& grid, SpaceVector v_p, SpaceVector i,
+                  double enough) noexcept {
   const std::array<double, n> scale = scales(model);
-  // e^{Ah} by Taylor to the fourth power: |Ah| stays below about 1, and what it misses of the fast modes
-  // does not matter as long as they decay.
-  const double h = 0.5 / model.k2;
+  // e^{Ah} by Taylor to the fourth power: |λh| stays below about 1, and what it misses of the fast modes does
+  // not matter as long as they decay.
+  const double h = 1.0 / model.k2;
   Matrix A{};
   for (int k = 0; k < n; ++k) {
     std::array<double, n> unit{};
@@ -66,8 +67,10 @@ double loop_decay(const LoopModel& model, const Grid& grid, SpaceVector v_p, Spa
     const std::array<double, n> column = derivative(model, grid, v_p, i, unit);
     for (int row = 0; row < n; ++row) A[row][k] = h * column[row] / scale[row];
   }
-  Matrix M{};
-  for (int term = 4; term > 0; --term) {  // Horner: 1 + A(1 + A/2(1 + A/3(1 + A/4)))
+  Matrix M = A;
+  for (auto& row : M)
+    for (double& x : row) x *= 0.25;
+  for (int term = 3; term > 0; --term) {  // Horner: 1 + A(1 + A/2(1 + A/3(1 + A/4)))
     for (int k = 0; k < n; ++k) M[k][k] += 1.0;
     M = product(A, M);
     for (auto& row : M)
@@ -75,31 +78,32 @@ double loop_decay(const LoopModel& model, const Grid& grid, SpaceVector v_p, Spa
   }
   for (int k = 0; k < n; ++k) M[k][k] += 1.0;
 
-  // ‖M^m‖ never falls below ρ(M)^m, so the decay read off it is a lower bound.
-  constexpr int squarings = 15;
+  // ‖M^m‖ never falls below ρ(M)^m, so the decay read off it is a lower bound, the better the larger m.
+  constexpr int squarings = 14, fewest = 9;
+  constexpr double ln_2 = 0.69314718055994531;
   double exponent = 0.0;  // log2 of what was divided out
   double powers = 1.0;
-  for (int k = 0; k < squarings; ++k) {
+  for (int k = 1;; ++k) {
     M = product(M, M);
     exponent *= 2.0;
     powers *= 2.0;
-    // A power of two, so that nothing is rounded.
-    int shift = 0;
     const double size = norm_squared(M);
     if (!(size > 0.0) || !(size < std::numeric_limits<double>::infinity()))
       return size == 0.0 ? model.k2 : -std::numeric_limits<double>::infinity();
-    std::frexp(size, &shift);
+    int shift = 0;
+    const double mantissa = std::frexp(size, &shift);
+    if (k >= fewest) {
+      // log2 ‖M‖ = (shift + log2 m)/2, and log2 m ≤ 2m − 2 + 0.09 for m in [½, 1].
+      const double log2_norm = exponent + 0.5 * (shift + 2.0 * mantissa - 1.91);
+      const double bound = -ln_2 * log2_norm / (powers * h);
+      if (k == squarings || bound >= enough) return bound;
+    }
+    // By a power of two, so that nothing is rounded.
     const double factor = std::ldexp(1.0, -shift / 2);
     for (auto& row : M)
       for (double& x : row) x *= factor;
     exponent += shift / 2;
   }
-  int shift = 0;
-  const double mantissa = std::frexp(norm_squared(M), &shift);
-  // log2 ‖M‖ ≤ (shift + 2(m − 1))/2 … for m in [½, 1]: log2 m ≤ 2m − 2 + 0.09.
-  const double log2_norm = exponent + 0.5 * (shift + 2.0 * mantissa - 1.91);
-  constexpr double ln_2 = 0.69314718055994531;
-  return -ln_2 * log2_norm / (powers * h);
 }
 
 }  // namespace weakgrid

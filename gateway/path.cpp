@@ -14,7 +14,7 @@ Setpoint between(const Setpoint& a, const Setpoint& b, double share) noexcept {
   return {a.p + share * (b.p - a.p), a.q + share * (b.q - a.q), a.v_c + share * (b.v_c - a.v_c)};
 }
 
-// How much slack can change from one end of the way to the other: the gradients of |v_p| and of the bridge
+// How much slack can change from one end of a piece to the other: the gradients of |v_p| and of the bridge
 // voltage, bounded over box and way. With a + jb = s Z̃_g: ∂W/∂a = 1 + V/√λ, ∂W/∂b = −2b/(V√λ).
 double slack_range(const GridBox& box, const Converter& c, const Setpoint& from,
                    const Setpoint& to) noexcept {
@@ -39,8 +39,6 @@ std::optional<Setpoint> first_outside(const GridBox& box, const Converter& conve
   const auto slack_at = [&](double share) { return slack(box, converter, limits, between(from, to, share)); };
   if (!(slack_at(0.0) >= -tolerance)) return from;
   if (!(slack_at(1.0) >= -tolerance)) return to;
-  const double range = slack_range(box, converter, from, to);
-  if (!std::isfinite(range)) return to;
   // Depth first, from the beginning on: pieces still to be looked at, each with its depth.
   constexpr int deepest = 20;
   struct Piece {
@@ -54,7 +52,9 @@ std::optional<Setpoint> first_outside(const GridBox& box, const Converter& conve
     const double middle = piece.at + 0.5 * piece.length;
     const double here = slack_at(middle);
     if (here < -tolerance) return between(from, to, middle);
-    if (here + tolerance >= 0.5 * range * piece.length) continue;
+    const double range =
+        slack_range(box, converter, between(from, to, piece.at), between(from, to, piece.at + piece.length));
+    if (here + tolerance >= 0.5 * range) continue;
     if (count + 2 > static_cast<int>(stack.size()) || looked > 4096) return between(from, to, middle);
     stack[count++] = {middle, 0.5 * piece.length};
     stack[count++] = {piece.at, 0.5 * piece.length};

@@ -36,7 +36,8 @@ void decide(benchmark::State& state, double p_low, double p_high, double q_low, 
   std::uint32_t id = 0;
   std::uint64_t accepted = 0;
   for (auto _ : state) {
-    const Decision d = arbiter.decide(request(p(bits), q(bits), ++id), 1000 + std::uint64_t{id} * 1000);
+    ++id;
+    const Decision d = arbiter.decide(request(p(bits), q(bits), id), 1000 + std::uint64_t{id} * 1000);
     accepted += d.verdict == Verdict::accepted;
   }
   state.counters["accepted"] = static_cast<double>(accepted) / static_cast<double>(state.iterations());
