@@ -61,11 +61,11 @@ void apply(QosClass qos_class, bool is_reader, Qos& qos) {
       qos.history().depth = 1;
       break;
   }
-  const int per_instance = qos_class == QosClass::command ? 64 : qos.history().depth;
+  const int per_instance = qos_class == QosClass::command ? 1024 : qos.history().depth;
   qos.resource_limits().max_instances = max_units;
   qos.resource_limits().max_samples_per_instance = per_instance;
   qos.resource_limits().max_samples = max_units * per_instance;
-  qos.resource_limits().allocated_samples = per_instance;
+  qos.resource_limits().allocated_samples = std::min(per_instance, 64);
   qos.endpoint().history_memory_policy =
       qos_class == QosClass::sample ? eprosima::fastrtps::rtps::PREALLOCATED_MEMORY_MODE
                                     : eprosima::fastrtps::rtps::PREALLOCATED_WITH_REALLOC_MEMORY_MODE;
@@ -130,7 +130,9 @@ Writer<Message>::Writer(Bus& bus, std::uint32_t unit) : impl_(std::make_unique<I
   dds::DataWriterQos qos;
   apply(Topic<Message>::qos, false, qos);
   qos.publish_mode().kind = dds::SYNCHRONOUS_PUBLISH_MODE;
-  qos.reliable_writer_qos().times.heartbeatPeriod = Duration_t(0, 100'000'000);
+  // A full history waits for acknowledgements, and these for a heartbeat: 64 samples and 100 ms let some 100
+  // commands a second through, 1024 and 10 ms more than 1000.
+  qos.reliable_writer_qos().times.heartbeatPeriod = Duration_t(0, 10'000'000);
   impl_->writer = made(impl_->publisher->create_datawriter(bus.impl().topic<Message>(), qos, impl_.get(),
                                                            dds::StatusMask::publication_matched()),
                        std::string("writer of ") + Topic<Message>::name);
