@@ -53,10 +53,12 @@ std::optional<SpaceVector> first_on_ray(const Search& search, SpaceVector wanted
   // How fast slack can change with s away from λ = 0 gives how far to go without missing much; what is
   // shorter than the least step may hide only around a maximum.
   constexpr double slope = 4.0;
-  const double least = reach / 160.0, most = reach / 10.0;
+  const double most = reach / 10.0;
   SpaceVector before = wanted, last = wanted;
   double slack_before = search.slack_at(wanted), slack_last = slack_before;
   for (double r = 0.0; r < reach;) {
+    // The nearer, the finer: what hides at the doorstep shall be found.
+    const double least = std::min(reach / 160.0, 1e-5 + 0.1 * r);
     r += std::clamp(-slack_last / slope, least, most);
     const SpaceVector here = wanted + r * along;
     const double slack_here = search.slack_at(here);
@@ -82,7 +84,7 @@ std::optional<SpaceVector> nearest_on_line(const Search& search, SpaceVector wan
 
 // Distance over the direction: coarsely all around, then by golden section about each of the best minima.
 std::optional<SpaceVector> nearest_around(const Search& search, SpaceVector wanted, double reach) noexcept {
-  constexpr int directions = 48, minima = 3;
+  constexpr int directions = 64, minima = 4;
   constexpr double sector = 2.0 * pi / directions, none = 1e9;
   std::optional<SpaceVector> best;
   const auto try_angle = [&](double angle, double within) {

@@ -195,7 +195,15 @@ int main(int argc, char** argv) {
                          GatewayService(settings, {}, none).serve(stop);
                          return;
                        }
-                       std::optional<Journal> journal(settings.gateway.journal);
+                       std::optional<Journal> journal;
+                       // A gateway that was killed a moment ago still holds it.
+                       for (int patience = 50; !journal; --patience) try {
+                           journal.emplace(settings.gateway.journal);
+                         } catch (const SettingsError&) {
+                           throw;
+                         } catch (const std::runtime_error&) {
+                           if (patience == 0 || stop.wait(std::chrono::milliseconds(100))) throw;
+                         }
                        const GatewayMemory memory = recall(settings.gateway.journal, settings.unit.number);
                        Settings known = settings;
                        if (memory.reactance) {

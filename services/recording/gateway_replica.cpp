@@ -56,7 +56,7 @@ void GatewayReplica::process(const UnitInputs& inputs, const Requests& requests,
 void GatewayReplica::issue_unasked(std::uint32_t up_to, std::uint64_t step) {
   for (auto next = references_.upper_bound(newest_); next != references_.end() && next->first <= up_to;
        next = references_.upper_bound(newest_)) {
-    if (is_late_ && clients_.empty()) {
+    if ((is_late_ || resumes_) && clients_.empty()) {
       arbiter_->adopt(next->second);
     } else {
       if (next->first != newest_ + 1) arbiter_->note_foreign_reference(next->first - 1);
