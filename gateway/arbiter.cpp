@@ -365,6 +365,13 @@ bool Arbiter::certify(const Setpoint& from, const Setpoint& to, double& ramp_s,
   return decay >= configuration_.decay_min && least >= 0.0 && ramp_s <= configuration_.max_ramp_s;
 }
 
+bool Arbiter::fallback_holds() const noexcept {
+  const Configuration& c = configuration_;
+  double ramp_s = c.default_ramp_s;
+  return slack(c.box, c.converter, c.limits, c.fallback) >= 0.0 &&
+         certify(c.fallback, c.fallback, ramp_s, nullptr);
+}
+
 // Where the way from what stands to `to` leaves the envelope; and from `to` to the fallback, which a lost
 // client would take. A way that begins outside (the grid has changed) may only lead back.
 std::optional<Setpoint> Arbiter::leaves(const Course& course, const Setpoint& to, std::uint64_t start,

@@ -173,6 +173,8 @@ class Arbiter {
   /// The newest reference issued, perhaps not yet in effect, perhaps fallen back.
   const std::optional<Reference>& standing() const noexcept { return standing_; }
   const Authority& authority() const noexcept { return authority_; }
+  /// What a lost client leads to would itself be accepted, but for the way there.
+  bool fallback_holds() const noexcept;
   const GridBox& box() const noexcept { return configuration_.box; }
   /// A restarted gateway goes on where its journal ends.
   void adopt(const Authority& authority) noexcept { authority_ = authority; }

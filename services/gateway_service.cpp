@@ -32,6 +32,7 @@ class GatewayService {
         request_reader_(bus_, settings.unit.number, [this](const Request& r, WriterId) { decide(r); }) {
     const std::lock_guard lock(mutex_);
     note_event("started", "the gateway has started");
+    check_fallback();
     if (!memory.reference) return;
     arbiter_.adopt(*memory.reference);
     arbiter_.adopt(memory.authority);
@@ -62,6 +63,7 @@ class GatewayService {
       if (was_held && decision.held_until_step != 0 && decision.holder != before)
         note_event("authority", text_of(decision.holder) + " takes over from " + text_of(before));
       if (decision.reference) issue(*decision.reference);
+      if (decision.kind == RequestKind::set_grid && decision.verdict == Verdict::accepted) check_fallback();
       (decision.verdict == Verdict::accepted ? accepted_ : rejected_).fetch_add(1);
       spdlog::info("client {:x} request {}: {}", request.client, request.id, describe(decision, timing_));
     }
@@ -78,6 +80,15 @@ class GatewayService {
   void note_event(const std::string& kind, const std::string& text,
                   const std::optional<Reference>& reference = {}) {
     if (journal_ && !note(*journal_, unit_, kind, text, reference, step_)) unwritten_.fetch_add(1);
+  }
+
+  // With mutex_ held. Nothing is refused for it: a unit has to fall back on something.
+  void check_fallback() {
+    fallback_holds_ = arbiter_.fallback_holds();
+    if (fallback_holds_) return;
+    const std::string text = "the fallback itself is not admissible or not stable on every grid of the box";
+    spdlog::warn("{}", text);
+    note_event("fallback", text);
   }
 
   // The unit falls back by itself; people are told.
@@ -146,6 +157,7 @@ class GatewayService {
     {
       const std::lock_guard lock(mutex_);
       health.state = has_looked_around() ? ServiceState::running : ServiceState::starting;
+      if (!fallback_holds_) health.text = "the fallback does not hold on every grid that may be";
     }
     if (health.state == ServiceState::starting) health.text = "looks around for plant and controller";
     health.step = step_;
@@ -164,6 +176,7 @@ class GatewayService {
   const Timing timing_;
   std::optional<Journal>& journal_;
   std::uint32_t fallen_back_id_ = 0;
+  bool fallback_holds_ = true;
   std::mutex mutex_;
   Arbiter arbiter_;
   OneWriter one_plant_;

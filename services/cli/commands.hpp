@@ -23,6 +23,7 @@ Command add_grid(CLI::App& app);
 Command add_envelope(CLI::App& app);
 Command add_schedule(CLI::App& app);
 Command add_status(CLI::App& app);
+Command add_watch(CLI::App& app);
 Command add_operate(CLI::App& app);
 Command add_info(CLI::App& app);
 Command add_recover(CLI::App& app);

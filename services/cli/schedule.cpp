@@ -16,9 +16,12 @@ namespace {
 constexpr Patience long_enough{5000};
 
 // What the gateway that runs goes by.
-Settings settings_of_gateway(const Client& client) {
-  for (const Manifest& manifest : client.manifests())
-    if (manifest.service == "gateway") return parse_settings(manifest.settings, "the gateway's manifest");
+Settings settings_of_gateway(const Client& client, StopSignal& stop) {
+  for (int patience = 100; patience > 0; --patience) {
+    for (const Manifest& manifest : client.manifests())
+      if (manifest.service == "gateway") return parse_settings(manifest.settings, "the gateway's manifest");
+    if (stop.wait(Patience(50))) break;
+  }
   throw std::runtime_error("the gateway's manifest does not come");
 }
 
@@ -53,8 +56,7 @@ Command add_schedule(CLI::App& app) {
                          [](const Health& h) { return h.state == ServiceState::running; }))
       throw std::runtime_error(fmt::format("no gateway of unit {} in domain {}; is weakgrid-gateway running?",
                                            settings.unit.number, settings.unit.domain));
-    for (int k = 0; k < 100 && client.manifests().empty(); ++k) (void)stop.wait(Patience(50));
-    const Settings known = settings_of_gateway(client);
+    const Settings known = settings_of_gateway(client, stop);
     const Timing unit_timing = timing(known);
 
     std::vector<Request> requests;

@@ -216,6 +216,11 @@ TEST(Supervisor, DrawnPowerOnAWeakGridIsNotStableAndTheDecisionSaysSo) {
   EXPECT_EQ(ann.accept(refused.offer->token, 1001).verdict, Verdict::accepted);
 }
 
+TEST(Supervisor, AFallbackThatIsNotStableOnTheGridIsKnown) {
+  EXPECT_TRUE(Arbiter(weak_grid(0.2, 0.3)).fallback_holds());
+  EXPECT_FALSE(Arbiter(weak_grid(0.2, 0.45)).fallback_holds()) << "idle at X_g = 0.45 and 100 µs grows";
+}
+
 TEST(Supervisor, TheTransientConditionsHoldAsFarAsThePaperSays) {
   // equations.md: with the paper's gains for X_g < 0.534 at V_p/V̂_p = 1 and X_g < 0.459 at 1.5.
   const Gains K = continuous_gains({0.001, 0.0011, 0.020});

@@ -320,7 +320,7 @@ TEST(Verify, APartThatBeginsInTheMidstVerifiesByItself) {
   ASSERT_GE(parts.size(), 3u);
   const ReexecutionFindings all = reexecute(parts);
   EXPECT_EQ(all.differences.count(), 0u) << words(all);
-  EXPECT_LE(all.unchecked(), 2000u) << words(all);  // until every writer is heard
+  EXPECT_LE(all.unchecked(), 3000u) << words(all);  // until every writer is heard
   std::uint64_t decisions = 0;
   for (const std::string& part : parts) {
     const ReexecutionFindings findings = reexecute({part});
@@ -421,7 +421,7 @@ TEST(Verify, OneFlippedBitInAnAnswerIsReportedInHexAndDecimal) {
 
 TEST(Verify, OtherSettingsTellHowTheOutcomeDiffers) {
   const test::TextFile same(scenario),
-      other(std::string(scenario) + "[controller]\nsettling_times_s = [0.002, 0.0022, 0.06]\n");
+      other(std::string(scenario) + "[controller]\nsettling_times_s = [0.0012, 0.0013, 0.045]\n");
   const test::Ended as_recorded =
       test::run("weakgrid", {"verify", played(), "--settings", same.path(), "--json"});
   EXPECT_EQ(as_recorded.status, 0) << as_recorded.out << as_recorded.err;

@@ -89,6 +89,17 @@ TEST_F(Supervised, WhoHasNoAuthorityIsToldWhoHasAndAHigherSourceTakesOver) {
   EXPECT_EQ(ask({"set", "--p", "0.25", "--name", "bob"}).second, 0);
 }
 
+TEST_F(Supervised, WatchShowsTheUnitAndWhatIsDecided) {
+  test::Program watching("weakgrid", {"watch", "--every", "0.2", "--json", "--domain", domain_.text()});
+  ASSERT_TRUE(test::wait_until([&] { return watching.out().find("\"active_power\"") != std::string::npos; }));
+  ASSERT_EQ(ask({"set", "--p", "0.3"}).second, 0);
+  EXPECT_TRUE(test::wait_until([&] {
+    return watching.out().find("\"verdict\":\"accepted\"") != std::string::npos;
+  })) << watching.out();
+  watching.send(SIGINT);
+  EXPECT_EQ(watching.wait(), 0);
+}
+
 TEST_F(Supervised, AKilledClientLeavesNoSetpointBehind) {
   test::Program holding("weakgrid",
                         {"set", "--p", "0.4", "--lease", "3", "--hold", "--domain", domain_.text()});
