@@ -63,6 +63,8 @@ std::uint64_t Arbiter::steps(double seconds) const noexcept {
 // The unit is idle: it has tripped or begun anew.
 Reference Arbiter::block() noexcept {
   blocked_ = true;
+  authority_.release();
+  offers_ = {};
   course_.track.cancel();
   const Setpoint& idle = configuration_.initial;
   course_.p = {idle.p, idle.p, 0.0, 0, 0};
@@ -78,6 +80,7 @@ void Arbiter::note_foreign_reference(std::uint32_t id) noexcept {
 }
 
 void Arbiter::adopt(const Reference& reference) noexcept {
+  if (reference.id < reference_id_) return;
   reference_id_ = reference.id;
   follow(reference);
 }
@@ -410,13 +413,18 @@ std::optional<Setpoint> Arbiter::acceptable_near(const Setpoint& wanted, const S
   const Configuration& c = configuration_;
   const auto near = nearest_admissible(c.box, c.converter, c.limits, wanted, policy);
   if (!near) return std::nullopt;
+  const auto is_inside = [&](const Setpoint& s) { return slack(c.box, c.converter, c.limits, s) >= 0.0; };
+  const auto passes = [&](const Setpoint& a, const Setpoint& b) {
+    return !first_outside(c.box, c.converter, c.limits, a, b);
+  };
+  // As decide() will see it, from rest.
   const auto will_do = [&](const Setpoint& s) {
     double ramp_s = c.default_ramp_s;
-    return slack(c.box, c.converter, c.limits, s) >= 0.0 && certify(from, s, ramp_s, nullptr) &&
-           !first_outside(c.box, c.converter, c.limits, s, c.fallback) &&
-           !first_outside(c.box, c.converter, c.limits, from, s);
+    return is_inside(s) && certify(from, s, ramp_s, nullptr) && (!is_inside(from) || passes(from, s)) &&
+           (!is_inside(c.fallback) || passes(s, c.fallback));
   };
   if (will_do(*near)) return near;
+  if (policy != Policy::minimum_distance) return std::nullopt;  // on that way the policy would not be kept
   Setpoint good = from, bad = *near;
   if (!will_do(good)) return std::nullopt;
   for (int k = 0; k < 12; ++k) {

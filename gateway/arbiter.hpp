@@ -159,7 +159,8 @@ class Arbiter {
   /// calls in the same order give the same decisions, bit for bit.
   Decision decide(const Request& request, std::uint64_t step_now) noexcept;
 
-  /// The unit has tripped: the initial setpoint stands, at once, and until unblocked() nothing is accepted.
+  /// The unit has tripped or begun anew: the initial setpoint stands, at once, nobody holds authority, no
+  /// offer is good, and until unblocked() nothing is accepted.
   Reference block() noexcept;
   void unblock() noexcept { blocked_ = false; }
 
@@ -167,7 +168,7 @@ class Arbiter {
   /// until a request gives p, q and v_c nothing is known to stand.
   void note_foreign_reference(std::uint32_t id) noexcept;
 
-  /// That reference is known to stand, whoever issued it.
+  /// That reference is known to stand, whoever issued it; one older than the newest known is ignored.
   void adopt(const Reference& reference) noexcept;
 
   /// The newest reference issued, perhaps not yet in effect, perhaps fallen back.

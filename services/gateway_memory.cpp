@@ -71,6 +71,9 @@ GatewayMemory recall(const std::string& path, std::uint32_t unit) {
   read_journal(path, [&](const JournalEntry& entry, const JournalPlace&) {
     const nlohmann::json& body = entry.body;
     if (body.value("unit", 0u) != unit) return;
+    // An entry of a start knows no step yet.
+    if (const std::uint64_t step = body.value("step", std::uint64_t{0}); step != 0) memory.step = step;
+    if (entry.kind == "blocked" || entry.kind == "restarted") memory.authority.release();
     if (body.contains("order")) memory.reference = order(body["order"]);
     if (body.contains("authority")) {
       const nlohmann::json& held = body["authority"];

@@ -13,6 +13,7 @@ namespace weakgrid {
 struct GatewayMemory {
   std::optional<Reference> reference;  ///< the last issued
   Authority authority;
+  std::uint64_t step = 0;  ///< the unit's, when the last entry was written
   std::optional<Interval> resistance, reactance, voltage;  ///< of the grid, if an operator has told
 };
 

@@ -4,6 +4,7 @@
 
 #include <atomic>
 #include <mutex>
+#include <utility>
 
 #include "gateway/arbiter.hpp"
 #include "services/decision_text.hpp"
@@ -21,6 +22,7 @@ class GatewayService {
       : unit_(settings.unit.number),
         timing_(timing(settings)),
         journal_(journal),
+        memory_(memory.reference ? std::optional(memory) : std::nullopt),
         arbiter_(arbiter_configuration(settings)),
         bus_(settings.unit.domain, settings.dds.interfaces, "weakgrid-gateway"),
         announcer_(bus_, settings, "gateway", {}),
@@ -33,12 +35,7 @@ class GatewayService {
     const std::lock_guard lock(mutex_);
     note_event("started", "the gateway has started");
     check_fallback();
-    if (!memory.reference) return;
-    arbiter_.adopt(*memory.reference);
-    arbiter_.adopt(memory.authority);
-    // Who joins late finds it again; who knows it does not move.
-    issue(*memory.reference);
-    spdlog::info("goes on from the journal: reference {} stands", memory.reference->id);
+    if (memory.reference) arbiter_.note_foreign_reference(memory.reference->id);
   }
 
   void serve(StopSignal& stop) {
@@ -115,6 +112,7 @@ class GatewayService {
     // The step a decision names and what is known of it change together.
     const std::lock_guard lock(mutex_);
     step_.store(measurement.step, std::memory_order_relaxed);
+    if (memory_) go_on(measurement);
     if (verdict != OneWriter::Verdict::changed && measurement.blocked == was_blocked_) return;
     was_blocked_ = measurement.blocked;
     if (measurement.blocked || verdict == OneWriter::Verdict::changed) {
@@ -129,18 +127,33 @@ class GatewayService {
     if (!measurement.blocked) arbiter_.unblock();
   }
 
+  // At the first sample, with mutex_ held: what the journal tells stands only if this is still the unit that
+  // it tells of. Steps rise as long as a unit lives, and one that lives follows what was ordered.
+  void go_on(const Measurement& measurement) {
+    const GatewayMemory memory = *std::exchange(memory_, std::nullopt);
+    const Reference& last = *memory.reference;
+    const bool follows = measurement.reference_id != 0 || last.effective_step > measurement.step;
+    if (measurement.blocked || arbiter_.standing()) return;  // told below, or ordered anew meanwhile
+    if (measurement.step >= memory.step && follows) {
+      arbiter_.adopt(last);
+      arbiter_.adopt(memory.authority);
+      issue(last);  // who joins late finds it again; who knows it does not move
+      spdlog::info("goes on from the journal: reference {} stands", last.id);
+      return;
+    }
+    const Reference idle = arbiter_.block();
+    arbiter_.unblock();
+    const std::string text =
+        "the unit has begun anew since the journal was written: no setpoint stands any more";
+    note_event("restarted", text, idle);
+    issue(idle);
+    spdlog::warn("{}", text);
+  }
+
   void hear(const Health& health) {
     if (health.service == "gateway" || health.state == ServiceState::stopped) return;
     const std::lock_guard lock(mutex_);
     arbiter_.note_foreign_reference(health.reference_id);
-    // A unit that has not heard of what stands by the journal has begun anew meanwhile.
-    if (health.service == "plant" && !heard_plant_ && arbiter_.standing() &&
-        health.reference_id < arbiter_.standing()->id && health.reference_id == 0) {
-      const Reference idle = arbiter_.block();
-      arbiter_.unblock();
-      note_event("restarted", "the unit has begun anew: no setpoint stands any more", idle);
-      issue(idle);
-    }
     heard_plant_ = heard_plant_ || health.service == "plant";
     heard_controller_ = heard_controller_ || health.service == "controller";
   }
@@ -148,7 +161,7 @@ class GatewayService {
   // Before it knows which reference plant and controller hold, a restarted gateway would issue one that they
   // refuse as old. Where nobody is, nobody is heard. With mutex_ held.
   bool has_looked_around() const {
-    return (heard_plant_ && heard_controller_) ||
+    return (heard_plant_ && heard_controller_ && !memory_) ||
            std::chrono::steady_clock::now() - started_ > std::chrono::seconds(3);
   }
 
@@ -175,6 +188,7 @@ class GatewayService {
   const std::uint32_t unit_;
   const Timing timing_;
   std::optional<Journal>& journal_;
+  std::optional<GatewayMemory> memory_;  // until the unit has been seen
   std::uint32_t fallen_back_id_ = 0;
   bool fallback_holds_ = true;
   std::mutex mutex_;

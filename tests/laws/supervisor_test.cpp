@@ -216,6 +216,35 @@ TEST(Supervisor, DrawnPowerOnAWeakGridIsNotStableAndTheDecisionSaysSo) {
   EXPECT_EQ(ann.accept(refused.offer->token, 1001).verdict, Verdict::accepted);
 }
 
+TEST(Supervisor, AnOfferKeepsWhatWasAskedToBeKeptOrThereIsNone) {
+  for (std::uint64_t n = 0; n < law_count(1'000); ++n) {
+    LawInput input(n);
+    Arbiter arbiter{weak_grid(0.2, 0.35)};
+    Asker ann(arbiter, holder("ann"), 1);
+    const double p = input.uniform(-1.0, 1.2), q = input.uniform(-0.8, 0.9);
+    const Policy policy = input.one_in(2) ? Policy::keep_p : Policy::keep_q;
+    const Decision decision = ann.set(p, q, 1000, policy);
+    if (!decision.offer || decision.offer->is_detour) continue;
+    ASSERT_EQ(policy == Policy::keep_p ? decision.offer->setpoint.p : decision.offer->setpoint.q,
+              policy == Policy::keep_p ? p : q)
+        << n;
+    ASSERT_EQ(ann.accept(decision.offer->token, 1001).verdict, Verdict::accepted) << n;
+  }
+}
+
+TEST(Supervisor, AUnitThatTripsOrBeginsAnewIsNobodys) {
+  Arbiter arbiter{weak_grid()};
+  Asker ann(arbiter, holder("ann"), 1), bob(arbiter, holder("bob"), 2);
+  const Decision refused = ann.set(0.7, -0.6, 500'000);
+  ASSERT_EQ(ann.set(0.3, 0.0, 500'000).verdict, Verdict::accepted);
+  ASSERT_TRUE(refused.offer);
+  arbiter.block();
+  arbiter.unblock();
+  // Its steps count from 0 again: what was granted until a step of the old one is not granted any more.
+  EXPECT_EQ(bob.accept(refused.offer->token, 10).verdict, Verdict::no_such_offer);
+  EXPECT_EQ(bob.set(0.1, 0.0, 11).verdict, Verdict::accepted);
+}
+
 TEST(Supervisor, AFallbackThatIsNotStableOnTheGridIsKnown) {
   EXPECT_TRUE(Arbiter(weak_grid(0.2, 0.3)).fallback_holds());
   EXPECT_FALSE(Arbiter(weak_grid(0.2, 0.45)).fallback_holds()) << "idle at X_g = 0.45 and 100 µs grows";

@@ -143,6 +143,23 @@ TEST_F(Supervised, AKilledGatewayGoesOnWhereItsJournalEnds) {
   EXPECT_EQ(entries("decision"), 9u);
 }
 
+TEST_F(Supervised, AfterAllHaveDiedTheJournalBringsNoOldSetpointBack) {
+  ASSERT_EQ(ask({"set", "--p", "0.3", "--q", "0.1", "--name", "ann", "--lease", "3000"}).second, 0);
+  ASSERT_TRUE(bystander_->settles_at(0.3, 0.1));
+  const WriterId old_plant = bystander_->plant();
+  for (const char* service : {"plant", "controller", "gateway"}) services_[service].kill();
+  for (const char* service : {"gateway", "plant", "controller"}) services_.start(service);
+  ASSERT_TRUE(test::wait_until([&] { return bystander_->plant() != old_plant; })) << bystander_->words();
+  bystander_->take_source_power_max();
+  // Whoever is first: nobody holds authority over a unit that has begun anew, and nothing stands there.
+  const auto [accepted, done] = ask({"set", "--p", "0.1", "--name", "bob"});
+  ASSERT_EQ(done, 0) << accepted.dump(2);
+  EXPECT_EQ(accepted["reactive_power"], 0.0);
+  ASSERT_TRUE(bystander_->settles_at(0.1, 0.0));
+  EXPECT_LT(bystander_->take_source_power_max(), 0.12) << "the old order was in force for a while";
+  EXPECT_EQ(entries("restarted"), 1u);
+}
+
 TEST_F(Supervised, AGridToldWeakerDeratesAndTheNextGatewayKnowsIt) {
   ASSERT_EQ(ask({"set", "--p", "0.9", "--q", "0.1", "--name", "ann"}).second, 0);
   const auto [derated, done] = ask({"grid", "--reactance", "0.25", "0.62", "--name", "ann"});
