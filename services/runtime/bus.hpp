@@ -76,22 +76,26 @@ class Reader {
   std::unique_ptr<Impl> impl_;
 };
 
-/// Listens to one writer as long as it lives, so that two are never mixed in.
+/// Listens to one writer until that is gone or has been silent for 5 s, so that two are never mixed in.
 class OneWriter {
  public:
   enum class Verdict : std::uint8_t { known, changed, refused };
 
   template <class Message>
   Verdict admit(WriterId writer, const Reader<Message>& reader) noexcept {
-    if (writer == writer_) return Verdict::known;
-    if (writer_ != 0 && reader.is_alive(writer_)) return Verdict::refused;
-    const Verdict verdict = writer_ == 0 ? Verdict::known : Verdict::changed;
+    const auto now = std::chrono::steady_clock::now();
+    if (writer != writer_ && writer_ != 0 && reader.is_alive(writer_) && now - heard_ < silence_max)
+      return Verdict::refused;
+    const Verdict verdict = writer == writer_ || writer_ == 0 ? Verdict::known : Verdict::changed;
     writer_ = writer;
+    heard_ = now;
     return verdict;
   }
 
  private:
+  static constexpr std::chrono::seconds silence_max{5};
   WriterId writer_ = 0;
+  std::chrono::steady_clock::time_point heard_{};
 };
 
 }  // namespace weakgrid

@@ -1,10 +1,10 @@
 // How every participant of Weakgrid reaches the others: the one place that sets transport and discovery.
 #pragma once
 
+#include <fastdds/rtps/transport/UDPv4TransportDescriptor.h>
 #include <cstdint>
 #include <fastdds/dds/domain/qos/DomainParticipantQos.hpp>
 #include <fastdds/dds/log/Log.hpp>
-#include <fastdds/rtps/transport/UDPv4TransportDescriptor.h>
 #include <memory>
 #include <string>
 #include <vector>
@@ -26,8 +26,9 @@ inline eprosima::fastdds::dds::DomainParticipantQos participant_qos(
   transport->receiveBufferSize = receive_buffer_bytes;
   qos.transport().use_builtin_transports = false;
   qos.transport().user_transports.push_back(transport);
-  // Long enough that a stuttering machine loses nobody; a killed peer is gone after it.
-  qos.wire_protocol().builtin.discovery_config.leaseDuration = Duration_t(5, 0);
+  // Long: where only one of two has taken the other for lost (one of them was held up for about so long),
+  // Fast DDS 2.9 does not always make them meet again. Who is silent gives way much sooner: OneWriter.
+  qos.wire_protocol().builtin.discovery_config.leaseDuration = Duration_t(20, 0);
   qos.wire_protocol().builtin.discovery_config.leaseDuration_announcementperiod = Duration_t(1, 0);
   return qos;
 }
