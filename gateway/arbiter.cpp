@@ -7,11 +7,12 @@
 #include <limits>
 
 #include "gateway/path.hpp"
-#include "gateway/steady_state.hpp"
-#include "gateway/transient.hpp"
 
 namespace weakgrid {
 namespace {
+
+// |v_g| that a grid can have.
+constexpr double V_min = 0.1, V_max = 2.0;
 
 // Written so that NaN is outside.
 bool within(double x, double low, double high) { return x >= low && x <= high; }
@@ -34,26 +35,7 @@ Decision refused(Decision decision, Verdict verdict, Field field) {
 
 Arbiter::Arbiter(const Configuration& configuration) noexcept
     : configuration_(configuration), setpoint_(configuration.initial) {
-  const Setpoint& s = configuration.initial;
-  course_.p = {s.p, s.p, 0.0, 0, 0};
-  course_.q = {s.q, s.q, 0.0, 0, 0};
-  course_.v_c = {s.v_c, s.v_c, 0.0, 0, 0};
-}
-
-void Arbiter::Course::advance_to(std::uint64_t step) noexcept {
-  while (const auto move = track.advance_to(step, true)) {
-    p = p.towards(move->p, move->start, move->ramp_steps);
-    q = q.towards(move->q, move->start, move->ramp_steps);
-    v_c = v_c.towards(move->v_c, move->start, move->ramp_steps);
-  }
-}
-
-Setpoint Arbiter::Course::at(std::uint64_t step) const noexcept {
-  return {p.at(step).value, q.at(step).value, v_c.at(step).value};
-}
-
-bool Arbiter::Course::moves(std::uint64_t step) const noexcept {
-  return p.at(step).slope != 0.0 || q.at(step).slope != 0.0 || v_c.at(step).slope != 0.0;
+  course_.stand_at(configuration.initial);
 }
 
 std::uint64_t Arbiter::steps(double seconds) const noexcept {
@@ -67,9 +49,7 @@ Reference Arbiter::block() noexcept {
   offers_ = {};
   course_.track.cancel();
   const Setpoint& idle = configuration_.initial;
-  course_.p = {idle.p, idle.p, 0.0, 0, 0};
-  course_.q = {idle.q, idle.q, 0.0, 0, 0};
-  course_.v_c = {idle.v_c, idle.v_c, 0.0, 0, 0};
+  course_.stand_at(idle);
   return issue(idle, configuration_.default_ramp_s, 0, 0);
 }
 
@@ -92,19 +72,32 @@ void Arbiter::follow(const Reference& reference) noexcept {
   standing_is_known_ = true;
 }
 
-Decision Arbiter::decide(const Request& request, std::uint64_t step_now) noexcept {
+// What stands now, and what a decision is taken on.
+Decision Arbiter::begun(RequestKind kind, std::uint64_t step_now) noexcept {
   course_.advance_to(step_now);
   if (course_.track.fallen_back && !course_.track.pending && standing_is_known_) {
     const Reference& over = *course_.track.in_force;
     setpoint_ = {over.fallback_p, over.fallback_q, over.fallback_v_c};
   }
   Decision decision;
-  decision.client = request.client;
-  decision.id = request.id;
-  decision.kind = request.kind;
-  decision.setpoint = complete(request);
+  decision.kind = kind;
   decision.decided_step = step_now;
   decision.standing_reference_id = reference_id_;
+  decision.unit_state = unit_state_;
+  return decision;
+}
+
+void Arbiter::tell_holder(std::uint64_t step_now, Decision& decision) const noexcept {
+  if (!authority_.is_held(step_now)) return;
+  decision.holder = authority_.holder();
+  decision.held_until_step = authority_.until_step();
+}
+
+Decision Arbiter::decide(const Request& request, std::uint64_t step_now) noexcept {
+  Decision decision = begun(request.kind, step_now);
+  decision.client = request.client;
+  decision.id = request.id;
+  decision.setpoint = complete(request);
   decision.request_fingerprint = fingerprint(request);
   if (request.client == 0) return refused(decision, Verdict::bad_request, Field::client);
   if (request.id == 0) return refused(decision, Verdict::bad_request, Field::id);
@@ -119,10 +112,7 @@ Decision Arbiter::decide(const Request& request, std::uint64_t step_now) noexcep
   if (request.id < client.last.id) return refused(decision, Verdict::stale_request, Field::id);
 
   judge(request, step_now, decision);
-  if (authority_.is_held(step_now)) {
-    decision.holder = authority_.holder();
-    decision.held_until_step = authority_.until_step();
-  }
+  tell_holder(step_now, decision);
   client.last = decision;
   return decision;
 }
@@ -149,6 +139,7 @@ Setpoint Arbiter::complete(const Request& request) const noexcept {
 Field Arbiter::offending_field(const Request& request) const noexcept {
   constexpr double power_max = 10.0, v_c_max = 10.0;
   constexpr std::uint32_t known = given_p | given_q | given_v_c;
+  if (request.kind >= RequestKind::revalidate) return Field::kind;
   if (request.who.source >= Source::protection || request.who.name.empty()) return Field::source;
   if (request.lease_s != 0.0 &&
       !within(request.lease_s, configuration_.min_ramp_s, configuration_.max_lease_s))
@@ -158,7 +149,7 @@ Field Arbiter::offending_field(const Request& request) const noexcept {
       return within(x.low, least, most) && within(x.high, x.low, most);
     };
     const bool good = is_interval(request.R_g, 0.0, 10.0) && is_interval(request.X_g, 0.0, 10.0) &&
-                      is_interval(request.V, 0.1, 2.0);
+                      is_interval(request.V, V_min, V_max);
     return good ? Field::none : Field::grid;
   }
   if (request.kind != RequestKind::set && request.kind != RequestKind::accept) return Field::none;
@@ -187,7 +178,8 @@ void Arbiter::judge(const Request& request, std::uint64_t step_now, Decision& de
     return;
   }
   const bool takes = request.kind == RequestKind::take;
-  if (!(takes ? authority_.may_take(request.who, step_now) : authority_.may_order(request.who, step_now))) {
+  if (request.kind != RequestKind::stop &&
+      !(takes ? authority_.may_take(request.who, step_now) : authority_.may_order(request.who, step_now))) {
     decision.verdict = Verdict::not_authorised;
     return;
   }
@@ -201,8 +193,19 @@ void Arbiter::judge(const Request& request, std::uint64_t step_now, Decision& de
       authority_.release();
       return;
     case RequestKind::set_grid:
-      take_grid(request, step_now, decision);
+      configuration_.box = {request.R_g,
+                            {request.X_g.low / configuration_.converter.omega,
+                             request.X_g.high / configuration_.converter.omega},
+                            request.V};
+      judge_standing(step_now, decision);
       return;
+    case RequestKind::start:
+    case RequestKind::stop:
+    case RequestKind::reset:
+      judge_operation(request, decision);
+      return;
+    case RequestKind::revalidate:
+      break;
     case RequestKind::renew:
       judge_renewal(request, step_now, decision);
       return;
@@ -242,19 +245,19 @@ void Arbiter::judge_setpoint(const Request& request, std::uint64_t step_now, Dec
   std::optional<Setpoint> near;
   if (!assessment.admissible) {
     decision.verdict = Verdict::outside_envelope;
-    near = acceptable_near(decision.setpoint, from, request.policy);
-  } else if (!certify(from, decision.setpoint, ramp_s, &decision.margins)) {
+    near = acceptable_near(configuration_, decision.setpoint, from, request.policy);
+  } else if (!certify(configuration_, from, decision.setpoint, ramp_s, &decision.margins)) {
     decision.verdict = Verdict::not_stable;
-    near = acceptable_near(decision.setpoint, from, request.policy);
+    near = acceptable_near(configuration_, decision.setpoint, from, request.policy);
   } else if (standing_is_known_) {
-    if (const auto outside =
-            leaves(course, decision.setpoint, start, static_cast<std::uint32_t>(steps(ramp_s)))) {
+    if (const auto outside = leaves(configuration_, course, decision.setpoint, start,
+                                    static_cast<std::uint32_t>(steps(ramp_s)))) {
       decision.verdict = Verdict::path_outside;
       decision.leaves_at = *outside;
       if (const auto via = detour(configuration_.box, configuration_.converter, configuration_.limits, from,
                                   decision.setpoint)) {
         double leg_s = ramp_s;
-        if (certify(from, *via, leg_s, nullptr)) offer(*via, true, step_now, decision);
+        if (certify(configuration_, from, *via, leg_s, nullptr)) offer(*via, true, step_now, decision);
       }
       return;
     }
@@ -290,148 +293,63 @@ void Arbiter::judge_renewal(const Request& request, std::uint64_t step_now, Deci
   authority_.give(request.who, renewal.lease_end_step);
 }
 
+// A unit that closes goes to idle: where that may not stand, it would trip again, or oscillate.
+void Arbiter::judge_operation(const Request& request, Decision& decision) noexcept {
+  const UnitState is = unit_state_;
+  if (request.kind == RequestKind::stop) {
+    if (is == UnitState::off)
+      decision.verdict = Verdict::interlocked;
+    else
+      authority_.release();
+    return;
+  }
+  const Setpoint& idle = configuration_.initial;
+  const Assessment assessment =
+      assess(configuration_.box, configuration_.converter, configuration_.limits, idle);
+  decision.setpoint = idle;
+  decision.margins = assessment.margins;
+  double ramp_s = configuration_.default_ramp_s;
+  const bool may_close =
+      assessment.admissible && certify(configuration_, idle, idle, ramp_s, &decision.margins);
+  const UnitState from = request.kind == RequestKind::start ? UnitState::off : UnitState::tripped;
+  if (is != from || !may_close) decision.verdict = Verdict::interlocked;
+}
+
+Decision Arbiter::revalidate(Interval V, std::uint64_t step_now) noexcept {
+  Decision decision = begun(RequestKind::revalidate, step_now);
+  decision.verdict = Verdict::accepted;
+  decision.measured_V = V;
+  Interval& known = configuration_.box.V;
+  known = {std::max(std::min(known.low, V.low), V_min), std::min(std::max(known.high, V.high), V_max)};
+  judge_standing(step_now, decision);
+  tell_holder(step_now, decision);
+  return decision;
+}
+
 // What stands is judged anew on the grid as it is now known.
-void Arbiter::take_grid(const Request& request, std::uint64_t step_now, Decision& decision) noexcept {
-  const double omega = configuration_.converter.omega;
-  configuration_.box = {request.R_g, {request.X_g.low / omega, request.X_g.high / omega}, request.V};
+void Arbiter::judge_standing(std::uint64_t step_now, Decision& decision) noexcept {
   decision.setpoint = setpoint_;
   if (!standing_ || !standing_is_known_ || blocked_ || course_.track.fallen_back) return;
   const Assessment now =
       assess(configuration_.box, configuration_.converter, configuration_.limits, setpoint_);
   decision.margins = now.margins;
   double ramp_s = configuration_.default_ramp_s;
-  if (now.admissible && certify(setpoint_, setpoint_, ramp_s, &decision.margins)) return;
+  if (now.admissible && certify(configuration_, setpoint_, setpoint_, ramp_s, &decision.margins)) return;
   const std::uint64_t start = start_of({}, step_now);
   Course course = course_;
   course.advance_to(start);
   const Setpoint from = course.at(start);
-  const Setpoint safe = acceptable_near(setpoint_, configuration_.fallback, Policy::minimum_distance)
-                            .value_or(configuration_.fallback);
-  (void)certify(from, safe, ramp_s, nullptr);
+  const Setpoint safe =
+      acceptable_near(configuration_, setpoint_, configuration_.fallback, Policy::minimum_distance)
+          .value_or(configuration_.fallback);
+  (void)certify(configuration_, from, safe, ramp_s, nullptr);
   decision.reference = issue(safe, ramp_s, start, standing_->lease_end_step);
 }
 
-// At corners of the box: where a random search over boxes found the slowest decay to within 0.3/s.
-double Arbiter::decay_over_box(const Setpoint& setpoint, Grid& where) const noexcept {
-  const double omega = configuration_.converter.omega;
-  double slowest = std::numeric_limits<double>::infinity();
-  const auto consider = [&](const Grid& grid) {
-    const SteadyState at = steady_state({grid.R_g, omega * grid.L_g}, grid.V, {setpoint.p, setpoint.q});
-    const double decay =
-        loop_decay(*configuration_.loop, grid, at.v_p, at.i, configuration_.decay_min + 10.0);
-    if (!(decay >= slowest)) {
-      slowest = decay;
-      where = grid;
-    }
-  };
-  const GridBox& box = configuration_.box;
-  const std::array<Grid, 4> low = corners(box, box.V.low), high = corners(box, box.V.high);
-  for (std::size_t k = 0; k < low.size(); ++k) {
-    if (std::find_if(low.begin(), low.begin() + static_cast<std::ptrdiff_t>(k), [&](const Grid& g) {
-          return g.R_g == low[k].R_g && g.L_g == low[k].L_g;
-        }) != low.begin() + static_cast<std::ptrdiff_t>(k))
-      continue;  // a flat box has fewer corners
-    consider(low[k]);
-    if (box.V.low < box.V.high) consider(high[k]);
-  }
-  return slowest;
-}
-
-// Small disturbances decay at the target, and the paper's transient conditions hold on the way: the ramp is
-// made longer until they do. False: no ramp does, or it would be longer than allowed.
-bool Arbiter::certify(const Setpoint& from, const Setpoint& to, double& ramp_s,
-                      Margins* margins) const noexcept {
-  if (!configuration_.loop) return true;
-  const LoopModel& loop = *configuration_.loop;
-  const double omega = configuration_.converter.omega;
-  Grid where;
-  const double decay = decay_over_box(to, where);
-  if (margins != nullptr) margins->add({Limit::decay, true, decay, configuration_.decay_min, where});
-  double least = std::numeric_limits<double>::infinity();
-  Grid least_at;
-  for (const Grid& grid : corners(configuration_.box, configuration_.box.V.low)) {
-    const SpaceVector Z_g{grid.R_g, omega * grid.L_g};
-    const SteadyState start = steady_state(Z_g, grid.V, {from.p, from.q});
-    const SteadyState end = steady_state(Z_g, grid.V, {to.p, to.q});
-    const double V_end = abs(end.v_p), V_start = start.exists ? abs(start.v_p) : V_end;
-    const double most = voltage_ratio_max(loop, grid);
-    if (most > 1.0) ramp_s = std::max(ramp_s, ramp_for_ratio(loop, V_start, V_end, most));
-    const double inside = most - voltage_ratio(loop, V_start, V_end, ramp_s);
-    if (!(inside >= least)) {
-      least = inside;
-      least_at = grid;
-    }
-  }
-  // The ramp was made just long enough: its last bit is no reason to refuse.
-  least = least < 0.0 && least > -1e-9 ? 0.0 : least;
-  if (margins != nullptr) margins->add({Limit::transient, true, least, 0.0, least_at});
-  return decay >= configuration_.decay_min && least >= 0.0 && ramp_s <= configuration_.max_ramp_s;
-}
-
-bool Arbiter::fallback_holds() const noexcept {
-  const Configuration& c = configuration_;
-  double ramp_s = c.default_ramp_s;
-  return slack(c.box, c.converter, c.limits, c.fallback) >= 0.0 &&
-         certify(c.fallback, c.fallback, ramp_s, nullptr);
-}
-
-// Where the way from what stands to `to` leaves the envelope; and from `to` to the fallback, which a lost
-// client would take. A way that begins outside (the grid has changed) may only lead back.
-std::optional<Setpoint> Arbiter::leaves(const Course& course, const Setpoint& to, std::uint64_t start,
-                                        std::uint32_t ramp_steps) const noexcept {
-  const Configuration& c = configuration_;
-  const auto check = [&](const Setpoint& a, const Setpoint& b) {
-    return first_outside(c.box, c.converter, c.limits, a, b);
-  };
-  const auto is_inside = [&](const Setpoint& s) { return slack(c.box, c.converter, c.limits, s) >= 0.0; };
-  const Setpoint from = course.at(start);
-  if (is_inside(from)) {
-    if (!course.moves(start)) {
-      if (const auto outside = check(from, to)) return outside;
-    } else {
-      // What still moves carries its slope over: the way is a curve, taken chord by chord.
-      constexpr std::uint32_t chords = 32;
-      const Ramp p = course.p.towards(to.p, start, ramp_steps), q = course.q.towards(to.q, start, ramp_steps),
-                 v_c = course.v_c.towards(to.v_c, start, ramp_steps);
-      Setpoint last = from;
-      for (std::uint32_t k = 1; k <= chords; ++k) {
-        const std::uint64_t step = start + std::uint64_t{ramp_steps} * k / chords;
-        const Setpoint here{p.at(step).value, q.at(step).value, v_c.at(step).value};
-        if (const auto outside = check(last, here)) return outside;
-        last = here;
-      }
-    }
-  }
-  if (is_inside(c.fallback)) return check(to, c.fallback);
-  return std::nullopt;
-}
-
-// The nearest setpoint that would be accepted: inside, and if the certificate does not hold there, the last
-// on the straight way from what stands for which it does.
-std::optional<Setpoint> Arbiter::acceptable_near(const Setpoint& wanted, const Setpoint& from,
-                                                 Policy policy) const noexcept {
-  const Configuration& c = configuration_;
-  const auto near = nearest_admissible(c.box, c.converter, c.limits, wanted, policy);
-  if (!near) return std::nullopt;
-  const auto is_inside = [&](const Setpoint& s) { return slack(c.box, c.converter, c.limits, s) >= 0.0; };
-  const auto passes = [&](const Setpoint& a, const Setpoint& b) {
-    return !first_outside(c.box, c.converter, c.limits, a, b);
-  };
-  // As decide() will see it, from rest.
-  const auto will_do = [&](const Setpoint& s) {
-    double ramp_s = c.default_ramp_s;
-    return is_inside(s) && certify(from, s, ramp_s, nullptr) && (!is_inside(from) || passes(from, s)) &&
-           (!is_inside(c.fallback) || passes(s, c.fallback));
-  };
-  if (will_do(*near)) return near;
-  if (policy != Policy::minimum_distance) return std::nullopt;  // on that way the policy would not be kept
-  Setpoint good = from, bad = *near;
-  if (!will_do(good)) return std::nullopt;
-  for (int k = 0; k < 12; ++k) {
-    const Setpoint middle{0.5 * (good.p + bad.p), 0.5 * (good.q + bad.q), 0.5 * (good.v_c + bad.v_c)};
-    (will_do(middle) ? good : bad) = middle;
-  }
-  return good;
+Reference Arbiter::fall_back(std::uint64_t step_now) noexcept {
+  course_.advance_to(step_now);
+  authority_.release();
+  return issue(configuration_.fallback, configuration_.fallback_ramp_s, start_of({}, step_now), 0);
 }
 
 void Arbiter::offer(const Setpoint& setpoint, bool is_detour, std::uint64_t step_now,

@@ -7,10 +7,8 @@
 #include <cstdint>
 #include <optional>
 
+#include "gateway/acceptance.hpp"
 #include "gateway/authority.hpp"
-#include "gateway/envelope.hpp"
-#include "gateway/loop_decay.hpp"
-#include "gateway/nearest.hpp"
 #include "plant/model.hpp"
 
 namespace weakgrid {
@@ -21,12 +19,16 @@ inline constexpr std::uint32_t given_q = 2;
 inline constexpr std::uint32_t given_v_c = 4;
 
 enum class RequestKind : std::uint8_t {
-  set,       ///< a setpoint
-  accept,    ///< what was offered under `token`, exactly
-  renew,     ///< the lease of what stands
-  take,      ///< authority, without a setpoint
-  release,   ///< authority; what stands stays until its lease ends
-  set_grid,  ///< what is known of the grid has changed
+  set,         ///< a setpoint
+  accept,      ///< what was offered under `token`, exactly
+  renew,       ///< the lease of what stands
+  take,        ///< authority, without a setpoint
+  release,     ///< authority; what stands stays until its lease ends
+  set_grid,    ///< what is known of the grid has changed
+  start,       ///< the unit, from off
+  stop,        ///< the unit, from any state; anybody may, and authority ends with it
+  reset,       ///< the unit, after a trip
+  revalidate,  ///< nobody's request: what is measured has changed what is known of the grid
 };
 
 /// (client, id) names a request: a repeat is answered with the same decision, whatever else it says. Of what
@@ -45,7 +47,7 @@ struct Request {
   Policy policy = Policy::minimum_distance;  ///< of the offer, should the setpoint be refused
   std::uint32_t token = 0;                   ///< accept
   std::uint64_t effective_step = 0;          ///< 0 = as soon as possible; at most step_max
-  Interval R_g{}, X_g{}, V{};                     ///< set_grid: 0 … 10, 0 … 10, 0.1 … 2
+  Interval R_g{}, X_g{}, V{};                ///< set_grid: 0 … 10, 0 … 10, 0.1 … 2
 };
 
 /// Of every field.
@@ -76,6 +78,7 @@ enum class Verdict : std::uint8_t {
   not_stable,      ///< margins decay or transient
   no_such_offer,   ///< unknown, or its time is over
   nothing_stands,  ///< there is no lease to renew, or it is about to end
+  interlocked,     ///< not in Decision::unit_state; or idle itself may not stand: margins
 };
 
 /// The field that made a request bad or stale.
@@ -92,6 +95,7 @@ enum class Field : std::uint8_t {
   source,
   lease_s,
   grid,
+  kind,
 };
 
 /// A setpoint that would be accepted now. Instead of what was asked for, or first, on the way to it.
@@ -116,31 +120,25 @@ struct Decision {
   std::optional<Offer> offer;  ///< outside_envelope, path_outside, not_stable
   Holder holder;               ///< of authority after the decision, if held_until_step is not 0
   std::uint64_t held_until_step = 0;
-  /// accepted. On set_grid: what stood is no longer admissible, this is the nearest that is.
+  /// accepted. On set_grid and revalidate: what stood may not stand any more, this is the nearest that may.
   std::optional<Reference> reference;
   std::uint32_t steps_to_reach = 0;  ///< accepted: ramp and settling
   /// What it was decided on, so that it can be decided again.
   std::uint64_t decided_step = 0;
   std::uint32_t standing_reference_id = 0;
   std::uint32_t request_fingerprint = 0;
+  UnitState unit_state = UnitState::running;
+  Interval measured_V{};  ///< revalidate: |v_g| that the measurements imply; the box now reaches so far
 };
 
 class Arbiter {
  public:
-  struct Configuration {
-    GridBox box;  ///< what the gateway knows of the grid
-    Converter converter;
-    Limits limits;
+  struct Configuration : Rules {
     Timing timing;
-    std::optional<LoopModel> loop;  ///< none: no certificate, as for the unfiltered law
-    double decay_min = 30.0;        ///< 1/s, of small disturbances: README
-    double settling_s = 0.050;      ///< of the slowest of law and notch: time to reach
-    Setpoint initial;               ///< stands until the first reference
-    Setpoint fallback;              ///< at the end of a lease
-    double default_ramp_s = 0.020;  ///< reference steps would saturate μ on a weak grid
+    double settling_s = 0.050;  ///< of the slowest of law and notch: time to reach
+    Setpoint initial;           ///< stands until the first reference
     double fallback_ramp_s = 0.1;
     double min_ramp_s = 0.001;
-    double max_ramp_s = 60.0;
     double default_lease_s = 60.0;
     double max_lease_s = 86'400.0;
     double offer_s = 60.0;          ///< an offer's token is good for so long
@@ -159,6 +157,20 @@ class Arbiter {
   /// calls in the same order give the same decisions, bit for bit.
   Decision decide(const Request& request, std::uint64_t step_now) noexcept;
 
+  /// The measured state contradicts every grid of the box; |v_g| = V would explain it. The box is widened,
+  /// and what stands is judged anew: it may have to move.
+  Decision revalidate(Interval V, std::uint64_t step_now) noexcept;
+
+  /// Nobody was heard of whom it could be learnt: until a request gives p, q and v_c nothing is known to
+  /// stand.
+  void forget() noexcept { standing_is_known_ = false; }
+
+  /// What stands is given up for the fallback, ramped; nobody holds authority.
+  Reference fall_back(std::uint64_t step_now) noexcept;
+
+  /// As last measured; what start, stop and reset depend on.
+  void note_unit(UnitState state) noexcept { unit_state_ = state; }
+
   /// The unit has tripped or begun anew: the initial setpoint stands, at once, nobody holds authority, no
   /// offer is good, and until unblocked() nothing is accepted.
   Reference block() noexcept;
@@ -173,10 +185,12 @@ class Arbiter {
 
   /// The newest reference issued, perhaps not yet in effect, perhaps fallen back.
   const std::optional<Reference>& standing() const noexcept { return standing_; }
+  /// Stands before the first order and after block().
+  const Setpoint& idle() const noexcept { return configuration_.initial; }
   const Authority& authority() const noexcept { return authority_; }
   /// What a lost client leads to would itself be accepted, but for the way there.
-  bool fallback_holds() const noexcept;
-  const GridBox& box() const noexcept { return configuration_.box; }
+  bool fallback_holds() const noexcept { return may_stand(configuration_, configuration_.fallback); }
+  const Rules& rules() const noexcept { return configuration_; }
   /// A restarted gateway goes on where its journal ends.
   void adopt(const Authority& authority) noexcept { authority_ = authority; }
 
@@ -185,28 +199,16 @@ class Arbiter {
     std::uint64_t heard = 0;  ///< hearings_ when last heard, 0 = free
     Decision last;
   };
-  // p, q and v_c as the unit follows them, and the next order.
-  struct Course {
-    ReferenceTrack track;
-    Ramp p, q, v_c;
-    void advance_to(std::uint64_t step) noexcept;
-    Setpoint at(std::uint64_t step) const noexcept;
-    bool moves(std::uint64_t step) const noexcept;
-  };
-
+  Decision begun(RequestKind kind, std::uint64_t step_now) noexcept;
+  void tell_holder(std::uint64_t step_now, Decision& decision) const noexcept;
   Client& recall(std::uint64_t client) noexcept;
   Setpoint complete(const Request& request) const noexcept;
   Field offending_field(const Request& request) const noexcept;
   void judge(const Request& request, std::uint64_t step_now, Decision& decision) noexcept;
   void judge_setpoint(const Request& request, std::uint64_t step_now, Decision& decision) noexcept;
   void judge_renewal(const Request& request, std::uint64_t step_now, Decision& decision) noexcept;
-  void take_grid(const Request& request, std::uint64_t step_now, Decision& decision) noexcept;
-  bool certify(const Setpoint& from, const Setpoint& to, double& ramp_s, Margins* margins) const noexcept;
-  double decay_over_box(const Setpoint& setpoint, Grid& where) const noexcept;
-  std::optional<Setpoint> leaves(const Course& course, const Setpoint& to, std::uint64_t start,
-                                 std::uint32_t ramp_steps) const noexcept;
-  std::optional<Setpoint> acceptable_near(const Setpoint& wanted, const Setpoint& from,
-                                          Policy policy) const noexcept;
+  void judge_operation(const Request& request, Decision& decision) noexcept;
+  void judge_standing(std::uint64_t step_now, Decision& decision) noexcept;
   void offer(const Setpoint& setpoint, bool is_detour, std::uint64_t step_now, Decision& decision) noexcept;
   Reference issue(const Setpoint& setpoint, double ramp_s, std::uint64_t effective_step,
                   std::uint64_t lease_end_step) noexcept;
@@ -221,6 +223,7 @@ class Arbiter {
   std::uint32_t reference_id_ = 0;
   bool standing_is_known_ = true;
   bool blocked_ = false;
+  UnitState unit_state_ = UnitState::running;
   Authority authority_;
   std::array<Offer, offer_max> offers_{};
   std::uint32_t offers_made_ = 0;

@@ -15,7 +15,8 @@ struct LoopModel {
 };
 
 /// A lower bound, in 1/s, of the decay rate of the slowest mode of (i, v̂_p, ê_ξ1, ŷ), eight real states,
-/// at the steady state (v_p, i) on this grid, to within rounding and 0.1/s; at most 4/s below it. Negative: it grows. Bounded, heap-free,
+/// at the steady state (v_p, i) on this grid, to within rounding and 0.1/s; at most 4/s below it. Negative:
+/// it grows. Bounded, heap-free,
 /// + − × ÷ only. NaN or infinite inputs: −∞.
 /// Stops as soon as it has shown `enough`: then the bound may be that far below.
 double loop_decay(const LoopModel& model, const Grid& grid, SpaceVector v_p, SpaceVector i,

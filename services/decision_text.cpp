@@ -10,9 +10,10 @@ namespace weakgrid {
 namespace {
 
 const char* name(Field field) {
-  constexpr const char* names[] = {"none",           "client",         "id",         "given",
-                                   "active_power",   "reactive_power", "dc_voltage", "ramp_s",
-                                   "effective_step", "source or name", "lease_s",    "grid"};
+  constexpr const char* names[] = {
+      "none",           "client",     "id",     "given",          "active_power",
+      "reactive_power", "dc_voltage", "ramp_s", "effective_step", "source or name",
+      "lease_s",        "grid",       "kind"};
   return names[static_cast<std::size_t>(field)];
 }
 
@@ -40,6 +41,8 @@ const char* allowed(Field field) {
       return "0 (default) or 0.001 to 86400";
     case Field::grid:
       return "intervals, the lower first: resistance and reactance 0 to 10, voltage 0.1 to 2";
+    case Field::kind:
+      return "set, accept, renew, take, release, grid, start, stop, reset";
     case Field::none:
       break;
   }
@@ -72,12 +75,14 @@ const char* name(Verdict verdict) {
                                    "the way there leaves the envelope",
                                    "not stable",
                                    "no such offer",
-                                   "nothing stands to renew"};
+                                   "nothing stands to renew",
+                                   "interlocked"};
   return names[static_cast<std::size_t>(verdict)];
 }
 
 const char* name(RequestKind kind) {
-  constexpr const char* names[] = {"set", "accept", "renew", "take", "release", "grid"};
+  constexpr const char* names[] = {"set",  "accept", "renew", "take",  "release",
+                                   "grid", "start",  "stop",  "reset", "revalidate"};
   return names[static_cast<std::size_t>(kind)];
 }
 
@@ -101,18 +106,33 @@ std::string accepted_text(const Decision& d, const Timing& timing) {
   if (d.kind == RequestKind::release) return "authority released";
   if (d.kind == RequestKind::take)
     return fmt::format("authority taken by {} until step {}", text_of(d.holder), d.held_until_step);
-  if (!d.reference) return "grid taken; what stands stays";
+  if (d.kind == RequestKind::start || d.kind == RequestKind::reset)
+    return fmt::format("the plant is told to {}", name(d.kind));
+  if (d.kind == RequestKind::stop) return "the plant is told to stop; authority released";
+  const std::string grid =
+      d.kind == RequestKind::revalidate
+          ? fmt::format("measured: |v_g| from {:.4g} to {:.4g}, the grid is not what was known",
+                        d.measured_V.low, d.measured_V.high)
+          : "grid taken";
+  if (!d.reference) return grid + "; what stands stays";
   const Reference& r = *d.reference;
   if (r.renews != 0)
     return fmt::format("reference {} renewed as {}: lease to step {}", r.renews, r.id, r.lease_end_step);
-  if (d.kind == RequestKind::set_grid)
-    return fmt::format(
-        "grid taken; what stood is not admissible on it: reference {} derates to {} from step {}", r.id,
-        text_of(Setpoint{r.p, r.q, r.v_c}), r.effective_step);
+  if (d.kind == RequestKind::set_grid || d.kind == RequestKind::revalidate)
+    return fmt::format("{}; what stood is not admissible on it: reference {} derates to {} from step {}",
+                       grid, r.id, text_of(Setpoint{r.p, r.q, r.v_c}), r.effective_step);
   return fmt::format(
       "accepted as reference {}: {}, ramp {:.6g} s from step {}, reached after {:.6g} s, lease {:.6g} s",
       r.id, text_of(d.setpoint), r.ramp_steps * T, r.effective_step, d.steps_to_reach * T,
       static_cast<double>(r.lease_end_step - r.effective_step) * T);
+}
+
+std::string interlock_text(const Decision& d) {
+  if (d.kind == RequestKind::stop) return "the unit is off";
+  const UnitState from = d.kind == RequestKind::start ? UnitState::off : UnitState::tripped;
+  if (d.unit_state != from)
+    return fmt::format("the unit is {}, {} needs {}", name(d.unit_state), name(d.kind), name(from));
+  return "idle itself may not stand on every grid that may be";
 }
 
 }  // namespace
@@ -123,7 +143,8 @@ std::string describe(const Decision& d, const Timing& timing) {
   const auto add = std::back_inserter(text);
   if (d.verdict == Verdict::bad_request || d.verdict == Verdict::stale_request)
     fmt::format_to(add, ": {}; allowed: {}", name(d.field), allowed(d.field));
-  if (d.verdict == Verdict::unit_blocked) text += " by a trip: weakgrid operate reset";
+  if (d.verdict == Verdict::unit_blocked) fmt::format_to(add, ": it is {}", name(d.unit_state));
+  if (d.verdict == Verdict::interlocked) fmt::format_to(add, ": {}", interlock_text(d));
   if (d.verdict == Verdict::not_authorised)
     fmt::format_to(add, ": {} holds authority until step {}", text_of(d.holder), d.held_until_step);
   if (d.verdict == Verdict::path_outside) fmt::format_to(add, " at {}", text_of(d.leaves_at));

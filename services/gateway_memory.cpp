@@ -45,6 +45,10 @@ Reference order(const nlohmann::json& j) {
 nlohmann::json range(Interval x) { return {x.low, x.high}; }
 Interval range(const nlohmann::json& j) { return {j.at(0), j.at(1)}; }
 
+nlohmann::json to_json(const KnownGrid& g) {
+  return {{"resistance", range(g.R_g)}, {"reactance", range(g.X_g)}, {"voltage", range(g.V)}};
+}
+
 nlohmann::json asked(const Request& r) {
   nlohmann::json out{{"id", r.id},
                      {"kind", name(r.kind)},
@@ -58,8 +62,7 @@ nlohmann::json asked(const Request& r) {
                      {"lease_s", r.lease_s},
                      {"token", r.token},
                      {"effective_step", r.effective_step}};
-  if (r.kind == RequestKind::set_grid)
-    out["grid"] = {{"resistance", range(r.R_g)}, {"reactance", range(r.X_g)}, {"voltage", range(r.V)}};
+  if (r.kind == RequestKind::set_grid) out["grid"] = to_json(KnownGrid{r.R_g, r.X_g, r.V});
   return out;
 }
 
@@ -83,26 +86,27 @@ GatewayMemory recall(const std::string& path, std::uint32_t unit) {
       holder.source = static_cast<Source>(std::min(held.at("priority").get<int>(), int(Source::protection)));
       memory.authority.give(holder, held.at("until_step"));
     }
-    if (body.contains("request") && body["request"].contains("grid") && body.value("accepted", false)) {
-      const nlohmann::json& grid = body["request"]["grid"];
-      memory.resistance = range(grid.at("resistance"));
-      memory.reactance = range(grid.at("reactance"));
-      memory.voltage = range(grid.at("voltage"));
+    if (body.contains("grid")) {
+      const nlohmann::json& grid = body["grid"];
+      memory.grid = {range(grid.at("resistance")), range(grid.at("reactance")), range(grid.at("voltage"))};
     }
   });
   return memory;
 }
 
-bool note(Journal& journal, std::uint32_t unit, const Request& request, const Decision& decision,
-          const Timing& timing) {
+bool note(Journal& journal, std::uint32_t unit, const Request* request, const Decision& decision,
+          const KnownGrid& grid, const Timing& timing) {
+  const bool is_accepted = decision.verdict == Verdict::accepted;
   nlohmann::json body{{"unit", unit},
-                      {"client", request.client},
+                      {"client", decision.client},
                       {"step", decision.decided_step},
-                      {"accepted", decision.verdict == Verdict::accepted},
-                      {"request", asked(request)},
+                      {"accepted", is_accepted},
                       {"decision", to_json(decision, timing)},
                       {"text", describe(decision, timing)}};
+  if (request != nullptr) body["request"] = asked(*request);
   if (decision.reference) body["order"] = order(*decision.reference);
+  if (is_accepted && (decision.kind == RequestKind::set_grid || decision.kind == RequestKind::revalidate))
+    body["grid"] = to_json(grid);
   body["authority"] = {{"name", decision.holder.name.text.data()},
                        {"priority", static_cast<int>(decision.holder.source)},
                        {"until_step", decision.held_until_step}};

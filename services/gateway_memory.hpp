@@ -6,6 +6,7 @@
 #include <string>
 
 #include "services/journal/journal.hpp"
+#include "services/runtime/messages.hpp"
 #include "services/runtime/settings.hpp"
 
 namespace weakgrid {
@@ -13,16 +14,17 @@ namespace weakgrid {
 struct GatewayMemory {
   std::optional<Reference> reference;  ///< the last issued
   Authority authority;
-  std::uint64_t step = 0;  ///< the unit's, when the last entry was written
-  std::optional<Interval> resistance, reactance, voltage;  ///< of the grid, if an operator has told
+  std::uint64_t step = 0;         ///< the unit's, when the last entry was written
+  std::optional<KnownGrid> grid;  ///< if an operator or the measurements have told
 };
 
 /// Of this unit. An empty memory if there is no such file yet; throws as read_journal does.
 GatewayMemory recall(const std::string& path, std::uint32_t unit);
 
 /// One line each, before anybody hears of it. False: see Journal::append.
-bool note(Journal& journal, std::uint32_t unit, const Request& request, const Decision& decision,
-          const Timing& timing);
+/// request: none of a revalidation. grid: as known after the decision.
+bool note(Journal& journal, std::uint32_t unit, const Request* request, const Decision& decision,
+          const KnownGrid& grid, const Timing& timing);
 bool note(Journal& journal, std::uint32_t unit, const std::string& kind, const std::string& text,
           const std::optional<Reference>& reference, std::uint64_t step);
 

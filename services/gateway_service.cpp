@@ -23,11 +23,15 @@ class GatewayService {
         timing_(timing(settings)),
         journal_(journal),
         memory_(memory.reference ? std::optional(memory) : std::nullopt),
+        after_restart_(settings.gateway.after_restart),
         arbiter_(arbiter_configuration(settings)),
+        evidence_(evidence_configuration(settings)),
         bus_(settings.unit.domain, settings.dds.interfaces, "weakgrid-gateway"),
         announcer_(bus_, settings, "gateway", {}),
         references_(bus_, settings.unit.number),
         decisions_(bus_, settings.unit.number),
+        envelopes_(bus_, settings.unit.number),
+        operations_(bus_, settings.unit.number),
         health_reader_(bus_, settings.unit.number, [this](const Health& h, WriterId) { hear(h); }),
         measurement_reader_(bus_, settings.unit.number,
                             [this](const Measurement& m, WriterId w) { watch(m, w); }),
@@ -41,6 +45,7 @@ class GatewayService {
   void serve(StopSignal& stop) {
     while (!stop.wait(std::chrono::milliseconds(5))) {
       watch_lease();
+      say_envelope();
       announcer_.say(health());
     }
     note_event("stopped", "the gateway was stopped");
@@ -51,20 +56,54 @@ class GatewayService {
   void decide(const Request& request) {
     const std::lock_guard lock(mutex_);
     if (!has_looked_around()) return;  // clients repeat
+    if (!heard_plant_ && !heard_controller_ && !arbiter_.standing()) arbiter_.forget();
     const Holder before = arbiter_.authority().holder();
     const bool was_held = arbiter_.authority().is_held(step_);
     const Decision decision = arbiter_.decide(request, step_);
     if (!decision.repeated) {
       // Written before anybody hears of it: a kill -9 in between loses no decision.
-      if (journal_ && !note(*journal_, unit_, request, decision, timing_)) unwritten_.fetch_add(1);
+      if (journal_ && !note(*journal_, unit_, &request, decision, known_grid(), timing_))
+        unwritten_.fetch_add(1);
       if (was_held && decision.held_until_step != 0 && decision.holder != before)
         note_event("authority", text_of(decision.holder) + " takes over from " + text_of(before));
       if (decision.reference) issue(*decision.reference);
+      if (decision.verdict == Verdict::accepted) operate(decision);
       if (decision.kind == RequestKind::set_grid && decision.verdict == Verdict::accepted) check_fallback();
       (decision.verdict == Verdict::accepted ? accepted_ : rejected_).fetch_add(1);
       spdlog::info("client {:x} request {}: {}", request.client, request.id, describe(decision, timing_));
     }
     if (!decisions_.write({decision, describe(decision, timing_)})) unsent_.fetch_add(1);
+  }
+
+  // With mutex_ held: what start, stop and reset mean for the plant.
+  void operate(const Decision& decision) {
+    Operation operation{.client = decision.client, .id = decision.id};
+    if (decision.kind == RequestKind::start)
+      operation.kind = OperationKind::start;
+    else if (decision.kind == RequestKind::stop)
+      operation.kind = OperationKind::stop;
+    else if (decision.kind == RequestKind::reset)
+      operation.kind = OperationKind::reset_trip;
+    else
+      return;
+    if (!operations_.write(operation)) unsent_.fetch_add(1);
+  }
+
+  // With mutex_ held: what is measured may contradict what is known of the grid.
+  void revalidate(Interval V) {
+    const Decision decision = arbiter_.revalidate(V, step_);
+    if (journal_ && !note(*journal_, unit_, nullptr, decision, known_grid(), timing_))
+      unwritten_.fetch_add(1);
+    if (decision.reference) issue(*decision.reference);
+    check_fallback();
+    spdlog::warn("{}", describe(decision, timing_));
+    if (!decisions_.write({decision, describe(decision, timing_)})) unsent_.fetch_add(1);
+  }
+
+  KnownGrid known_grid() const {
+    const GridBox& box = arbiter_.rules().box;
+    const double omega = arbiter_.rules().converter.omega;
+    return {box.R_g, {omega * box.L_g.low, omega * box.L_g.high}, box.V};
   }
 
   // With mutex_ held.
@@ -102,6 +141,44 @@ class GatewayService {
     note_event("lease_end", text);
   }
 
+  // At each change; the margins are those of what stands.
+  void say_envelope() {
+    const std::lock_guard lock(mutex_);
+    const auto& standing = arbiter_.standing();
+    const Rules& rules = arbiter_.rules();
+    Envelope now;
+    now.step = step_;
+    now.reference_id = reference_id_;
+    now.grid = known_grid();
+    if (standing) {
+      now.lease_end_step = standing->lease_end_step;
+      now.fallen_back = standing->lease_end_step != 0 && now.step >= standing->lease_end_step;
+      now.setpoint = now.fallen_back
+                         ? Setpoint{standing->fallback_p, standing->fallback_q, standing->fallback_v_c}
+                         : Setpoint{standing->p, standing->q, standing->v_c};
+    } else {
+      now.setpoint = arbiter_.idle();
+    }
+    now.fallback_holds = fallback_holds_;
+    if (arbiter_.authority().is_held(now.step)) {
+      now.holder = arbiter_.authority().holder();
+      now.held_until_step = arbiter_.authority().until_step();
+    }
+    if (said_ && is_same_but_for_step(*said_, now)) return;
+    said_ = now;
+    double ramp_s = rules.default_ramp_s;
+    const Assessment assessment = assess(rules.box, rules.converter, rules.limits, now.setpoint);
+    now.margins = assessment.margins;
+    if (assessment.admissible) (void)certify(rules, now.setpoint, now.setpoint, ramp_s, &now.margins);
+    if (!envelopes_.write(now)) said_.reset();
+  }
+
+  static bool is_same_but_for_step(const Envelope& a, const Envelope& b) {
+    return a.reference_id == b.reference_id && a.grid == b.grid && a.fallen_back == b.fallen_back &&
+           a.lease_end_step == b.lease_end_step && a.fallback_holds == b.fallback_holds &&
+           a.holder == b.holder && a.held_until_step == b.held_until_step;
+  }
+
   // Follows the unit: its step, its trips, and whether it is still the same one.
   void watch(const Measurement& measurement, WriterId writer) {
     const auto verdict = one_plant_.admit(writer, measurement_reader_);
@@ -112,7 +189,10 @@ class GatewayService {
     // The step a decision names and what is known of it change together.
     const std::lock_guard lock(mutex_);
     step_.store(measurement.step, std::memory_order_relaxed);
+    arbiter_.note_unit(measurement.state);
     if (memory_) go_on(measurement);
+    const Rules& rules = arbiter_.rules();
+    if (const auto V = evidence_.add(rules.box, rules.converter.omega, measurement)) revalidate(*V);
     if (verdict != OneWriter::Verdict::changed && measurement.blocked == was_blocked_) return;
     was_blocked_ = measurement.blocked;
     if (measurement.blocked || verdict == OneWriter::Verdict::changed) {
@@ -136,6 +216,12 @@ class GatewayService {
     if (measurement.blocked || arbiter_.standing()) return;  // told below, or ordered anew meanwhile
     if (measurement.step >= memory.step && follows) {
       arbiter_.adopt(last);
+      if (after_restart_ == AfterRestart::fallback) {
+        const Reference back = arbiter_.fall_back(measurement.step);
+        note_event("fallback", "after a restart the fallback stands, as the settings want it", back);
+        issue(back);
+        return;
+      }
       arbiter_.adopt(memory.authority);
       issue(last);  // who joins late finds it again; who knows it does not move
       spdlog::info("goes on from the journal: reference {} stands", last.id);
@@ -191,8 +277,11 @@ class GatewayService {
   std::optional<GatewayMemory> memory_;  // until the unit has been seen
   std::uint32_t fallen_back_id_ = 0;
   bool fallback_holds_ = true;
+  const AfterRestart after_restart_;
   std::mutex mutex_;
   Arbiter arbiter_;
+  GridEvidence evidence_;
+  std::optional<Envelope> said_;
   OneWriter one_plant_;
   bool was_blocked_ = false;
   bool heard_plant_ = false, heard_controller_ = false;
@@ -204,6 +293,8 @@ class GatewayService {
   Announcer announcer_;
   Writer<Reference> references_;
   Writer<DecisionMessage> decisions_;
+  Writer<Envelope> envelopes_;
+  Writer<Operation> operations_;
   Reader<Health> health_reader_;
   Reader<Measurement> measurement_reader_;
   Reader<Request> request_reader_;
@@ -233,10 +324,10 @@ int main(int argc, char** argv) {
                          }
                        const GatewayMemory memory = recall(settings.gateway.journal, settings.unit.number);
                        Settings known = settings;
-                       if (memory.reactance) {
-                         known.gateway.grid_resistance = memory.resistance;
-                         known.gateway.grid_reactance = memory.reactance;
-                         known.gateway.grid_voltage = memory.voltage;
+                       if (memory.grid) {
+                         known.gateway.grid_resistance = memory.grid->R_g;
+                         known.gateway.grid_reactance = memory.grid->X_g;
+                         known.gateway.grid_voltage = memory.grid->V;
                        }
                        GatewayService(known, memory, journal).serve(stop);
                      });

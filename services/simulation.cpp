@@ -31,6 +31,7 @@ SimulationResult simulate(const Settings& settings,
     const Measurement measurement = emulator.sample();
     if (measurement.blocked && !blocked) issue(arbiter.block());
     blocked = measurement.blocked;
+    arbiter.note_unit(measurement.state);
     const Modulation modulation = controller.step(measurement);
     digest.add(settings.unit.number, modulation);
     if (watch) watch(measurement, modulation);

@@ -24,6 +24,12 @@ Client::Client(std::uint32_t domain, std::uint32_t unit, const std::vector<std::
                          decision_ = message;
                          news_.notify_all();
                        }),
+      envelope_reader_(bus_, unit,
+                       [this](const Envelope& envelope, WriterId) {
+                         const std::lock_guard lock(mutex_);
+                         envelope_ = envelope;
+                         news_.notify_all();
+                       }),
       requests_(bus_, unit),
       operations_(bus_, unit) {}
 
@@ -43,6 +49,11 @@ std::vector<Manifest> Client::manifests() const {
   std::vector<Manifest> all;
   for (const auto& [key, manifest] : manifests_) all.push_back(manifest);
   return all;
+}
+
+std::optional<Envelope> Client::envelope() const {
+  const std::lock_guard lock(mutex_);
+  return envelope_;
 }
 
 bool Client::wait_for(Patience patience, const std::function<bool(const Peers&)>& condition) const {

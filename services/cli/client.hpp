@@ -33,6 +33,9 @@ class Client {
   bool wait_for(const std::string& service, Patience patience,
                 const std::function<bool(const Health&)>& condition) const;
 
+  /// The gateway's last word of what stands and who may change it.
+  std::optional<Envelope> envelope() const;
+
   /// Sends the request until a decision answers it. Fills in client and id, and a name if there is none.
   std::optional<DecisionMessage> ask(Request request, Patience patience);
   /// Sends an operation to the plant; false: no plant has come within `patience`.
@@ -46,11 +49,13 @@ class Client {
   Peers peers_;
   std::map<std::pair<std::string, std::uint64_t>, Manifest> manifests_;
   std::optional<DecisionMessage> decision_;
+  std::optional<Envelope> envelope_;
 
   Bus bus_;
   Reader<Health> health_reader_;
   Reader<Manifest> manifest_reader_;
   Reader<DecisionMessage> decision_reader_;
+  Reader<Envelope> envelope_reader_;
   Writer<Request> requests_;
   Writer<Operation> operations_;
 

@@ -28,7 +28,7 @@ Decision judge(const Arbiter::Configuration& configuration, const Setpoint& setp
 
 void print_areas(const Arbiter::Configuration& c, double v_c, bool json) {
   const Grid corner{c.box.R_g.low, c.box.L_g.high, c.box.V.low};
-  const Envelope envelope{c.box, corner, c.converter, c.limits, v_c};
+  const EnvelopeSlice envelope{c.box, corner, c.converter, c.limits, v_c};
   nlohmann::json rows = nlohmann::json::array();
   if (!json) fmt::print("active_power,reactive_power_min,reactive_power_max\n");
   for (const auto& area : admissible_areas(envelope, 1.2 * c.limits.i_max * c.limits.v_p_max))

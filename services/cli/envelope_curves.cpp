@@ -26,7 +26,7 @@ std::vector<SpaceVector> circle(double V, SpaceVector Z, double radius, double i
   return currents;
 }
 
-std::vector<SpaceVector> currents_at(const Envelope& e, Limit limit, double reach) {
+std::vector<SpaceVector> currents_at(const EnvelopeSlice& e, Limit limit, double reach) {
   const SpaceVector Z_g{e.grid.R_g, e.converter.omega * e.grid.L_g};
   const SpaceVector Z = Z_g + SpaceVector{0.0, e.converter.omega * e.converter.L};
   const double V = e.grid.V;
@@ -58,17 +58,17 @@ std::vector<SpaceVector> currents_at(const Envelope& e, Limit limit, double reac
   }
 }
 
-bool is_admissible(const Envelope& e, double p, double q) {
+bool is_admissible(const EnvelopeSlice& e, double p, double q) {
   return assess(e.box, e.converter, e.limits, {p, q, e.v_c}).admissible;
 }
 
 // Between q, admissible, and q_out, not: the last that is.
-double edge(const Envelope& e, double p, double q, double q_out) {
+double edge(const EnvelopeSlice& e, double p, double q, double q_out) {
   for (int n = 0; n < 40; ++n) (is_admissible(e, p, 0.5 * (q + q_out)) ? q : q_out) = 0.5 * (q + q_out);
   return q;
 }
 
-std::vector<AdmissibleSpan> spans_at(const Envelope& e, double p, double reach) {
+std::vector<AdmissibleSpan> spans_at(const EnvelopeSlice& e, double p, double reach) {
   std::vector<AdmissibleSpan> spans;
   std::optional<double> from;
   const double spacing = 2.0 * reach / area_columns;
@@ -86,7 +86,7 @@ std::vector<AdmissibleSpan> spans_at(const Envelope& e, double p, double reach) 
 
 }  // namespace
 
-PowerCurve limit_curve(const Envelope& e, Limit limit, double reach) {
+PowerCurve limit_curve(const EnvelopeSlice& e, Limit limit, double reach) {
   const SpaceVector Z_g{e.grid.R_g, e.converter.omega * e.grid.L_g};
   PowerCurve curve;
   bool is_broken = true;
@@ -102,7 +102,7 @@ PowerCurve limit_curve(const Envelope& e, Limit limit, double reach) {
   return curve;
 }
 
-std::vector<std::vector<AdmissibleSpan>> admissible_areas(const Envelope& e, double reach) {
+std::vector<std::vector<AdmissibleSpan>> admissible_areas(const EnvelopeSlice& e, double reach) {
   std::vector<std::vector<AdmissibleSpan>> areas;
   std::size_t open = 0;  // the last so many go on
   for (int n = 0; n <= area_columns; ++n) {

@@ -9,7 +9,7 @@
 namespace weakgrid {
 
 /// What is drawn, and for which v_c.
-struct Envelope {
+struct EnvelopeSlice {
   GridBox box;  ///< of the admissible area
   Grid grid;    ///< of the limit curves, one of the box
   Converter converter;
@@ -20,13 +20,13 @@ struct Envelope {
 /// Where a limit's margin is 0, in unbroken pieces of (p, q); within |s| ≤ reach, a little more may be there.
 /// In the current plane each limit is a line or a circle, so the curves are exact; none for the DC voltage.
 using PowerCurve = std::vector<std::vector<Setpoint>>;
-PowerCurve limit_curve(const Envelope& envelope, Limit limit, double reach);
+PowerCurve limit_curve(const EnvelopeSlice& envelope, Limit limit, double reach);
 
 /// At one p the admissible q, from … to.
 struct AdmissibleSpan {
   double p, q_min, q_max;
 };
 /// Areas that together are the admissible setpoints within |p|, |q| ≤ reach, as spans over rising p.
-std::vector<std::vector<AdmissibleSpan>> admissible_areas(const Envelope& envelope, double reach);
+std::vector<std::vector<AdmissibleSpan>> admissible_areas(const EnvelopeSlice& envelope, double reach);
 
 }  // namespace weakgrid

@@ -74,7 +74,7 @@ class Plane {
  private:
   void add(const std::string& curve) { plot_ += (plot_.empty() ? "" : ", \\\n  ") + curve; }
 
-  Envelope envelope() const {
+  EnvelopeSlice envelope() const {
     const Arbiter::Configuration gateway = arbiter_configuration(*data_.gateway);
     const GridBox& box = gateway.box;
     return {

@@ -1,63 +1,81 @@
-// weakgrid operate: start, stop, reset a trip, or let a waiting unit go on.
+// weakgrid operate: start, stop, reset through the gateway; or let an emulated unit that waits go on.
 #include <fmt/format.h>
 
 #include <limits>
 
-#include "services/cli/client.hpp"
+#include "services/cli/asking.hpp"
 #include "services/cli/commands.hpp"
 #include "services/runtime/program.hpp"
 
 namespace weakgrid {
 
-Command add_operate(CLI::App& app) {
-  struct Options {
-    Where where;
-    std::optional<std::uint64_t> until;
-    CLI::App *start = nullptr, *stop = nullptr, *reset = nullptr;
+namespace {
+
+struct Operating {
+  Asking asking;
+  std::optional<std::uint64_t> until;
+  CLI::App *start = nullptr, *stop = nullptr, *reset = nullptr;
+};
+
+// Seen done, not only sent.
+void wait_for(const Client& client, RequestKind kind) {
+  std::string state = "not heard";
+  const auto done = [&](const Health& h) {
+    const auto is = static_cast<UnitState>(counter(h, "unit_state"));
+    state = name(is);
+    if (kind == RequestKind::start) return is != UnitState::off && is != UnitState::tripped;
+    return kind == RequestKind::stop ? is == UnitState::off : is != UnitState::tripped;
   };
-  auto options = std::make_shared<Options>();
-  CLI::App* command = app.add_subcommand("operate", "Operates the plant of a unit.");
+  if (!client.wait_for("plant", Patience(5000), done))
+    throw std::runtime_error(fmt::format("the plant does not follow: it is {}", state));
+}
+
+// Not an order but a matter of emulated time, between client and plant.
+int advance(Client& client, const Settings& settings, std::optional<std::uint64_t> until) {
+  if (!client.operate(OperationKind::advance, until.value_or(std::numeric_limits<std::uint64_t>::max()),
+                      Patience(5000)))
+    throw std::runtime_error(fmt::format("no plant of unit {} in domain {}; is weakgrid-plant running?",
+                                         settings.unit.number, settings.unit.domain));
+  if (!client.wait_for("plant", Patience(5000),
+                       [&](const Health& h) { return h.state != ServiceState::waiting || h.step >= until; }))
+    throw std::runtime_error("the plant does not follow");
+  return exit_done;
+}
+
+}  // namespace
+
+Command add_operate(CLI::App& app) {
+  auto options = std::make_shared<Operating>();
+  CLI::App* command = app.add_subcommand("operate", "Starts, stops and resets a unit.");
   command->require_subcommand(1);
-  options->start = command->add_subcommand("start", "Precharges a unit that is off, and closes.");
-  options->stop = command->add_subcommand("stop", "Opens bridge and source at once, and discharges.");
-  options->reset = command->add_subcommand("reset", "Closes again after a trip, from idle.");
-  CLI::App* advance = command->add_subcommand("advance", "Lets a unit that waits go on.");
-  advance->add_option("--until", options->until, "wait again at this step; default: go on for ever");
-  for (CLI::App* verb : {options->start, options->stop, options->reset, advance})
-    add_where(*verb, options->where);
+  options->start =
+      command->add_subcommand("start", "Precharges a unit that is off, and closes, if idle may stand.");
+  options->stop =
+      command->add_subcommand("stop", "Opens bridge and source at once, and discharges; anybody may.");
+  options->reset =
+      command->add_subcommand("reset", "Closes again after a trip, from idle, if idle may stand.");
+  CLI::App* advance_verb = command->add_subcommand("advance", "Lets an emulated unit that waits go on.");
+  advance_verb->add_option("--until", options->until, "wait again at this step; default: go on for ever");
+  add_where(*advance_verb, options->asking.where);
+  for (CLI::App* verb : {options->start, options->stop, options->reset}) add_asking(*verb, options->asking);
   command->footer(
-      "Example: weakgrid operate reset --unit 1\nExit: 0 sent, 2 bad usage, 3 no plant is there.");
+      "Example: weakgrid operate reset --unit 1\n"
+      "Exit: 0 done, 1 rejected, 2 bad usage, 3 nobody answers or follows.");
   return [options] {
-    const Settings settings = options->where.settings();
+    const Settings settings = options->asking.where.settings();
     Client client(settings.unit.domain, settings.unit.number, settings.dds.interfaces);
-    const OperationKind kind = options->start->parsed()   ? OperationKind::start
-                               : options->stop->parsed()  ? OperationKind::stop
-                               : options->reset->parsed() ? OperationKind::reset_trip
-                                                          : OperationKind::advance;
-    if (!client.operate(kind, options->until.value_or(std::numeric_limits<std::uint64_t>::max()),
-                        Patience(5000)))
-      throw std::runtime_error(fmt::format("no plant of unit {} in domain {}; is weakgrid-plant running?",
-                                           settings.unit.number, settings.unit.domain));
-    // Seen done, not only sent.
-    std::string state;
-    const auto done = [&](const Health& h) {
-      const auto is = static_cast<UnitState>(counter(h, "unit_state"));
-      state = name(is);
-      switch (kind) {
-        case OperationKind::start:
-          return is != UnitState::off && is != UnitState::tripped;
-        case OperationKind::stop:
-          return is == UnitState::off;
-        case OperationKind::reset_trip:
-          return is != UnitState::tripped;
-        case OperationKind::advance:
-          break;
-      }
-      return h.state != ServiceState::waiting || h.step >= options->until;
-    };
-    if (!client.wait_for("plant", Patience(5000), done))
-      throw std::runtime_error(fmt::format("the plant does not follow: it is {}", state));
-    return exit_done;
+    Request request;
+    if (options->start->parsed())
+      request.kind = RequestKind::start;
+    else if (options->stop->parsed())
+      request.kind = RequestKind::stop;
+    else if (options->reset->parsed())
+      request.kind = RequestKind::reset;
+    else
+      return advance(client, settings, options->until);
+    const int answer = ask(client, settings, options->asking, request);
+    if (answer == exit_done) wait_for(client, request.kind);
+    return answer;
   };
 }
 

@@ -179,6 +179,11 @@ class Conductor {
       if (now > deadline) throw std::runtime_error(fmt::format("the unit stands still at step {}", now_at));
     }
     outcome.wall_s += std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+    // What is asked next is judged at this step. Samples are best effort: without the last one it goes on
+    // too.
+    if (step > 0)
+      (void)client_.wait_for("gateway", Patience(500),
+                             [&](const Health& h) { return is_mine(h) && h.step + 1 >= step; });
   }
 
   // Should another start serve the same unit meanwhile, its word does not count.

@@ -5,6 +5,7 @@
 
 #include "services/cli/client.hpp"
 #include "services/cli/commands.hpp"
+#include "services/cli/schedule_file.hpp"
 #include "services/decision_json.hpp"
 #include "services/decision_text.hpp"
 #include "services/runtime/program.hpp"
@@ -25,6 +26,14 @@ Settings settings_of_gateway(const Client& client, StopSignal& stop) {
   throw std::runtime_error("the gateway's manifest does not come");
 }
 
+Envelope envelope_of_gateway(const Client& client, StopSignal& stop) {
+  for (int patience = 100; patience > 0; --patience) {
+    if (const auto envelope = client.envelope()) return *envelope;
+    if (stop.wait(Patience(50))) break;
+  }
+  throw std::runtime_error("the gateway does not say what stands");
+}
+
 }  // namespace
 
 Command add_schedule(CLI::App& app) {
@@ -35,21 +44,27 @@ Command add_schedule(CLI::App& app) {
   };
   auto options = std::make_shared<Options>();
   CLI::App* command = app.add_subcommand(
-      "schedule", "Plays the timed setpoints of a file's [scenario], all of them checked before the first.");
-  command->add_option("file", options->file, "settings file with [scenario] and its setpoints")->required();
+      "schedule", "Plays the timed setpoints of a file, all of them checked before the first.");
+  command
+      ->add_option("file", options->file, "table (.csv) or settings file with [scenario] and its setpoints")
+      ->required();
   command->add_option("--name", options->name, "in whose name, at most 23 bytes")->capture_default_str();
   command->add_flag("--check", options->check, "check only");
   command->add_flag("--json", options->json, "print JSON, one line a decision");
   add_where(*command, options->where);
   command->footer(
       "Example: weakgrid schedule deploy/settings/paper-weak.toml --unit 1\n"
-      "Its source is schedule: an operator may take over. Each lease ends a second after the next is due.\n"
+      "A table begins with a line of column names: at_s and some of active_power, reactive_power, "
+      "dc_voltage,\n"
+      "ramp_s, lease_s; an empty cell is not given. Its source is schedule: an operator may take over. A "
+      "lease\n"
+      "that is not given ends a second after the next setpoint is due, the last one's with the scenario or, "
+      "of a\n"
+      "table, as the gateway has it.\n"
       "Exit: 0 all accepted, 1 one is not, 2 bad file, 3 no gateway answers.");
   return [options] {
     StopSignal stop;
-    const Settings file = load_scenario(options->file);
-    if (file.scenario->setpoints.empty())
-      throw SettingsError(options->file + ": scenario.setpoint: missing; a schedule needs at least one");
+    const std::vector<TimedSetpoint> setpoints = load_schedule(options->file);
     const Settings settings = options->where.settings();
     Client client(settings.unit.domain, settings.unit.number, settings.dds.interfaces);
     if (!client.wait_for("gateway", long_enough,
@@ -60,11 +75,9 @@ Command add_schedule(CLI::App& app) {
     const Timing unit_timing = timing(known);
 
     std::vector<Request> requests;
-    const auto& setpoints = file.scenario->setpoints;
     for (std::size_t k = 0; k < setpoints.size(); ++k) {
       Request asked = request(known, setpoints[k], 1, static_cast<std::uint32_t>(k + 1));
-      const double next_s = k + 1 < setpoints.size() ? setpoints[k + 1].at_s : file.scenario->end_s;
-      asked.lease_s = next_s - setpoints[k].at_s + 1.0;
+      asked.lease_s = setpoints[k].lease_s;
       asked.who.source = Source::schedule;
       asked.who.name = {};
       std::copy_n(options->name.begin(), std::min(options->name.size(), asked.who.name.text.size() - 1),
@@ -78,7 +91,14 @@ Command add_schedule(CLI::App& app) {
         fmt::print("{:>10.3f} s  {}\n", at_s, describe(decision, unit_timing));
       std::fflush(stdout);
     };
-    Arbiter rehearsal(arbiter_configuration(known));
+    // From what stands, on the grid as the gateway knows it by now.
+    Arbiter::Configuration configuration = arbiter_configuration(known);
+    const double omega = configuration.converter.omega;
+    const Envelope stands = envelope_of_gateway(client, stop);
+    const KnownGrid& grid = stands.grid;
+    configuration.box = {grid.R_g, {grid.X_g.low / omega, grid.X_g.high / omega}, grid.V};
+    configuration.initial = stands.setpoint;
+    Arbiter rehearsal(configuration);
     bool good = true;
     for (std::size_t k = 0; k < requests.size(); ++k) {
       Request asked = requests[k];

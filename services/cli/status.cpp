@@ -7,6 +7,8 @@
 
 #include "services/cli/client.hpp"
 #include "services/cli/commands.hpp"
+#include "services/decision_json.hpp"
+#include "services/decision_text.hpp"
 #include "services/runtime/program.hpp"
 
 namespace weakgrid {
@@ -29,6 +31,21 @@ void print(const Health& h, double age_s) {
     if (counter.value != 0) fmt::print("            {} {}\n", counter.name, counter.value);
 }
 
+void print(const Envelope& e) {
+  fmt::print("standing: {}p {:.6g}, q {:.6g}, v_c {:.6g}{}{}\n",
+             e.reference_id != 0 ? fmt::format("reference {}, ", e.reference_id) : "", e.setpoint.p,
+             e.setpoint.q, e.setpoint.v_c,
+             e.fallen_back           ? ", fallen back"
+             : e.lease_end_step != 0 ? fmt::format(", lease to step {}", e.lease_end_step)
+                                     : "",
+             e.fallback_holds ? "" : "; the fallback does not hold on every grid that may be");
+  fmt::print("authority: {}\n", e.held_until_step != 0
+                                    ? fmt::format("{} until step {}", text_of(e.holder), e.held_until_step)
+                                    : "nobody");
+  fmt::print("grid known: R_g {:.4g} to {:.4g}, X_g {:.4g} to {:.4g}, |v_g| {:.4g} to {:.4g}\n",
+             e.grid.R_g.low, e.grid.R_g.high, e.grid.X_g.low, e.grid.X_g.high, e.grid.V.low, e.grid.V.high);
+}
+
 }  // namespace
 
 Command add_status(CLI::App& app) {
@@ -38,8 +55,9 @@ Command add_status(CLI::App& app) {
     bool json = false;
   };
   auto options = std::make_shared<Options>();
-  CLI::App* command =
-      app.add_subcommand("status", "Shows who serves a unit, in what state, and what it measures.");
+  CLI::App* command = app.add_subcommand(
+      "status",
+      "Shows who serves a unit, in what state, what stands, who holds authority, and what it measures.");
   command->add_option("--wait", options->wait_s, "how long to listen, seconds")
       ->check(CLI::Range(0.1, 3600.0))
       ->capture_default_str();
@@ -82,6 +100,12 @@ Command add_status(CLI::App& app) {
       else
         fmt::print("step {}: p {:.4f}, q {:.4f}, v_c {:.4f}, |v_p| {:.4f}, |i| {:.4f}{}\n", last->step, s.re,
                    s.im, last->v_c, abs(last->v_p), abs(last->i), last->blocked ? ", blocked" : "");
+    }
+    if (const auto envelope = client.envelope()) {
+      if (options->json)
+        out["envelope"] = to_json(*envelope);
+      else
+        print(*envelope);
     }
     bool all_work = true;
     for (const auto& [service, is_well] : works) {

@@ -77,17 +77,17 @@ void GatewayReplica::catch_up(std::uint32_t reference_id) {
   newest_ = reference_id;
 }
 
-bool GatewayReplica::is_blocked_at(const Decision& decision) const {
+UnitState GatewayReplica::state_at(const Decision& decision) const {
   // The plant of that time is the last one that had come as far; a decision before any sample finds none.
   for (std::size_t n = plants_then_; n-- > 0;) {
-    const auto& changes = inputs_->plants[n].blocked;
+    const auto& changes = inputs_->plants[n].states;
     if (changes.empty() || changes.front().first > decision.decided_step) continue;
-    bool blocked = false;
+    UnitState state = UnitState::running;
     for (const auto& [step, is] : changes)
-      if (step <= decision.decided_step) blocked = is;
-    return blocked;
+      if (step <= decision.decided_step) state = is;
+    return state;
   }
-  return decision.verdict == Verdict::unit_blocked;
+  return decision.unit_state;
 }
 
 const Request* GatewayReplica::request_of(const Decision& recorded) {
@@ -127,6 +127,13 @@ void GatewayReplica::decide(const DecisionMessage& message) {
     issue_unasked(recorded.standing_reference_id, recorded.decided_step);
     catch_up(recorded.standing_reference_id);
   }
+  const UnitState state = state_at(recorded);
+  arbiter_->note_unit(state);
+  if (recorded.kind == RequestKind::revalidate) {
+    if (!is_blocked(state)) arbiter_->unblock();
+    compare(message, arbiter_->revalidate(recorded.measured_V, recorded.decided_step));
+    return;
+  }
   const Request* request = request_of(recorded);
   if (request == nullptr) {
     // What it led to stands all the same.
@@ -145,7 +152,11 @@ void GatewayReplica::decide(const DecisionMessage& message) {
                   "what that client asked before is not in the recording");
     return;
   }
-  if (!is_blocked_at(recorded)) arbiter_->unblock();
+  if (!is_blocked(state)) arbiter_->unblock();
+  // That it knew of nothing that stood shows when it asks for all three.
+  if (clients_.empty() && recorded.verdict == Verdict::bad_request && recorded.field == Field::given &&
+      request->given != 0)
+    arbiter_->forget();
   // Who held authority when the recording or this process began shows when somebody else is refused.
   if ((is_late_ || resumes_) && recorded.verdict == Verdict::not_authorised &&
       !arbiter_->authority().is_held(recorded.decided_step)) {
@@ -153,23 +164,27 @@ void GatewayReplica::decide(const DecisionMessage& message) {
     held.give(recorded.holder, recorded.held_until_step);
     arbiter_->adopt(held);
   }
-  const Decision computed = arbiter_->decide(*request, recorded.decided_step);
   clients_.insert(recorded.client);
   decided_.emplace(recorded.client, recorded.id);
+  compare(message, arbiter_->decide(*request, recorded.decided_step));
+}
 
+void GatewayReplica::compare(const DecisionMessage& message, const Decision& computed) {
+  const Decision& recorded = message.decision;
   ++findings_.decisions;
   if (recorded.verdict == Verdict::accepted) ++findings_.accepted_recorded;
   if (computed.verdict == Verdict::accepted) ++findings_.accepted_computed;
   const std::uint64_t before = differences_->count();
-  differences_->add_first({.unit = unit_,
-                           .step = recorded.decided_step,
-                           .what = "decision",
-                           .which = name_of(recorded.client, recorded.id),
-                           .field = {},
-                           .recorded = {},
-                           .computed = {}},
-                          fields_of(unit_, message),
-                          fields_of(unit_, DecisionMessage{computed, describe(computed, *timing_)}));
+  differences_->add_first(
+      {.unit = unit_,
+       .step = recorded.decided_step,
+       .what = "decision",
+       .which = recorded.kind == RequestKind::revalidate ? std::string("revalidation")
+                                                         : name_of(recorded.client, recorded.id),
+       .field = {},
+       .recorded = {},
+       .computed = {}},
+      fields_of(unit_, message), fields_of(unit_, DecisionMessage{computed, describe(computed, *timing_)}));
   if (differences_->count() == before) ++findings_.decisions_identical;
   if (!computed.reference || computed.repeated) return;
   newest_ = computed.reference->id;

@@ -62,8 +62,9 @@ class GatewayReplica {
   void decide(const DecisionMessage& recorded);
   void look_for(const Reference& issued, std::uint64_t step);
   const Request* request_of(const Decision& recorded);
+  void compare(const DecisionMessage& recorded, const Decision& computed);
   void compare(const Reference& recorded, const Reference& computed, std::uint64_t step);
-  bool is_blocked_at(const Decision& decision) const;
+  UnitState state_at(const Decision& decision) const;
 
   const std::uint32_t unit_;
   std::optional<Arbiter> arbiter_;

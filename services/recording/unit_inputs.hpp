@@ -13,12 +13,12 @@
 
 namespace weakgrid {
 
-/// The samples of one plant process: the last ones, and every change of blocked.
+/// The samples of one plant process: the last ones, and every change of state.
 struct PlantStream {
   std::string writer;
   std::uint64_t first_step = 0;
-  std::deque<Measurement> samples;                      // steps rise
-  std::vector<std::pair<std::uint64_t, bool>> blocked;  // from this step on
+  std::deque<Measurement> samples;                          // steps rise
+  std::vector<std::pair<std::uint64_t, UnitState>> states;  // from this step on
 
   const Measurement* find(std::uint64_t step) const {
     if (samples.empty() || step < samples.front().step) return nullptr;
@@ -53,8 +53,8 @@ struct UnitInputs {
   static void see(PlantStream& plant, const Measurement& m) {
     std::deque<Measurement>& samples = plant.samples;
     if (samples.empty() || m.step > samples.back().step) {
-      if (plant.blocked.empty() || plant.blocked.back().second != m.blocked)
-        plant.blocked.emplace_back(m.step, m.blocked);
+      if (plant.states.empty() || plant.states.back().second != m.state)
+        plant.states.emplace_back(m.step, m.state);
       samples.push_back(m);
       if (samples.size() > samples_max) samples.pop_front();
       return;

@@ -75,7 +75,10 @@ void Announcer::say(Health health) noexcept {
   const auto now = std::chrono::steady_clock::now();
   const bool changed = health.state != last_.state || health.reference_id != last_.reference_id ||
                        health.text != last_.text || health.digest != last_.digest;
-  if (!changed && now - said_ < std::chrono::seconds(1)) return;
+  // Where a unit has come to a stand, whoever waits for that step hears of it at once.
+  const bool stands_still = health.step == seen_step_ && health.step != last_.step;
+  seen_step_ = health.step;
+  if (!changed && !stands_still && now - said_ < std::chrono::seconds(1)) return;
   health.service = service_;
   health.instance = instance_;
   health.wall_time_ns = wall_time_ns();

@@ -31,7 +31,7 @@ class Announcer {
   ~Announcer();
 
   /// Fills in service, instance and time; writes what differs from the last word in more than step and
-  /// counters, or is a second old.
+  /// counters, or in a step that stands still between two calls, or is a second old.
   void say(Health health) noexcept;
 
  private:
@@ -40,6 +40,7 @@ class Announcer {
   std::string service_;
   std::uint64_t instance_;
   Health last_;
+  std::uint64_t seen_step_ = 0;  // at the last call
   std::chrono::steady_clock::time_point said_{};
 };
 

@@ -16,6 +16,26 @@ struct DecisionMessage {
   std::string text;  // at most 255 bytes
 };
 
+/// Per unit: X_g, not L_g.
+struct KnownGrid {
+  Interval R_g, X_g, V;
+  friend constexpr bool operator==(const KnownGrid&, const KnownGrid&) = default;
+};
+
+/// What the gateway knows of the grid, what stands on it, and who may change that.
+struct Envelope {
+  std::uint64_t step = 0;
+  std::uint32_t reference_id = 0;
+  KnownGrid grid;
+  Setpoint setpoint;
+  std::uint64_t lease_end_step = 0;
+  bool fallen_back = false;
+  bool fallback_holds = true;
+  Holder holder;
+  std::uint64_t held_until_step = 0;
+  Margins margins;
+};
+
 enum class OperationKind : std::uint8_t { advance, reset_trip, start, stop };
 
 constexpr const char* name(OperationKind kind) noexcept {

@@ -10,6 +10,7 @@
 
 #include "controller/controller.hpp"
 #include "gateway/arbiter.hpp"
+#include "gateway/grid_evidence.hpp"
 #include "plant/emulator.hpp"
 
 namespace weakgrid {
@@ -33,6 +34,9 @@ struct TimedEvent {
   double value = 0.0;
   double ramp_s = 0.0;
 };
+
+/// What a restarted gateway does with the reference of its journal that still stands.
+enum class AfterRestart : std::uint8_t { resume, fallback };
 
 struct Scenario {
   std::string title;
@@ -107,6 +111,9 @@ struct Settings {
     std::optional<double> fallback_dc_voltage;  // none: converter.dc_voltage
     double fallback_ramp_s = 0.1;
     std::uint32_t lead_steps = 50;
+    double revalidate_s = 0.2;  // 0: what is measured changes nothing
+    double grid_voltage_tolerance = 0.02;
+    AfterRestart after_restart = AfterRestart::resume;
     std::string journal;  // file; empty: none
   } gateway;
   struct {
@@ -129,6 +136,7 @@ Grid grid(const Settings& settings);
 EmulatorConfiguration emulator_configuration(const Settings& settings);
 ControllerConfiguration controller_configuration(const Settings& settings);
 Arbiter::Configuration arbiter_configuration(const Settings& settings);
+GridEvidence::Configuration evidence_configuration(const Settings& settings);
 
 /// The step at or just after t seconds.
 std::uint64_t step_at(const Settings& settings, double t_s);

@@ -94,6 +94,13 @@ Arbiter::Configuration arbiter_configuration(const Settings& s) {
   return c;
 }
 
+GridEvidence::Configuration evidence_configuration(const Settings& s) {
+  const double cycle_s = 1.0 / s.converter.frequency_hz;
+  return {.cycle_steps = static_cast<std::uint32_t>(std::lround(cycle_s / period_s(timing(s)))),
+          .cycles = static_cast<std::uint32_t>(std::ceil(s.gateway.revalidate_s / cycle_s - 1e-9)),
+          .tolerance = s.gateway.grid_voltage_tolerance};
+}
+
 std::uint64_t step_at(const Settings& s, double t_s) {
   // A millionth of a step forgives the rounding of t/T.
   return static_cast<std::uint64_t>(std::ceil(t_s / period_s(timing(s)) - 1e-6));

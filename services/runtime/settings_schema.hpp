@@ -16,6 +16,8 @@ inline constexpr Choice<Sampling> samplings[] = {{"instantaneous", Sampling::ins
                                                  {"period_mean", Sampling::period_mean}};
 inline constexpr Choice<Law> laws[] = {{"filtered", Law::filtered}, {"unfiltered", Law::unfiltered}};
 inline constexpr Choice<bool> starts[] = {{"running", true}, {"off", false}};
+inline constexpr Choice<AfterRestart> after_restarts[] = {{"resume", AfterRestart::resume},
+                                                          {"fallback", AfterRestart::fallback}};
 inline constexpr Choice<Quantity> quantities[] = {{"source_power", Quantity::source_power},
                                                   {"grid_resistance", Quantity::grid_resistance},
                                                   {"grid_reactance", Quantity::grid_inductance},
@@ -85,6 +87,9 @@ void visit(File& file, SettingsOrConst& s) {
     f.number("ramp_s", s.gateway.ramp_s, 0.001, 60.0);
     f.number("lease_s", s.gateway.lease_s, 0.01, 86400.0);
     f.number("offer_s", s.gateway.offer_s, 0.1, 3600.0);
+    f.number("revalidate_s", s.gateway.revalidate_s, 0.0, 3600.0);
+    f.number("grid_voltage_tolerance", s.gateway.grid_voltage_tolerance, 0.001, 1.0);
+    f.word("after_restart", s.gateway.after_restart, after_restarts);
     f.number("fallback_active_power", s.gateway.fallback_active_power, -10.0, 10.0);
     f.number("fallback_reactive_power", s.gateway.fallback_reactive_power, -10.0, 10.0);
     f.optional("fallback_dc_voltage", s.gateway.fallback_dc_voltage, 0.1, 10.0);

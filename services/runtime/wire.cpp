@@ -50,6 +50,35 @@ void decode(const wire::Ramp& in, Ramp& m) {
   m = {in.from(), in.to(), in.slope(), in.start_step(), in.steps(), in.slope_steps()};
 }
 
+template <class Sequence>
+void encode(const Margins& margins, Sequence& out) {
+  out.clear();
+  for (const LimitMargin& margin : margins) {
+    wire::LimitMargin& item = out.emplace_back();
+    item.limit(static_cast<wire::LimitName>(margin.limit));
+    item.enforced(margin.enforced);
+    item.margin(margin.margin);
+    item.required(margin.required);
+    item.grid_resistance(margin.grid.R_g);
+    item.grid_inductance_s(margin.grid.L_g);
+    item.grid_voltage(margin.grid.V);
+  }
+}
+
+template <class Sequence>
+bool decode(const Sequence& in, Margins& margins) {
+  if (in.size() > margin_count) return false;
+  for (const wire::LimitMargin& item : in) {
+    LimitMargin margin{.enforced = item.enforced(),
+                       .margin = item.margin(),
+                       .required = item.required(),
+                       .grid = {item.grid_resistance(), item.grid_inductance_s(), item.grid_voltage()}};
+    if (!decode_enum(item.limit(), Limit::transient, margin.limit)) return false;
+    margins.add(margin);
+  }
+  return true;
+}
+
 }  // namespace
 
 void encode(const Measurement& m, wire::Measurement& out) {
@@ -143,7 +172,7 @@ void encode(const Request& m, wire::SetpointRequest& out) {
 
 bool decode(const wire::SetpointRequest& in, Request& m) {
   m = {};
-  if (!decode_enum(in.kind(), RequestKind::set_grid, m.kind)) return false;
+  if (!decode_enum(in.kind(), RequestKind::revalidate, m.kind)) return false;
   if (!decode_enum(in.source(), Source::protection, m.who.source)) return false;
   if (!decode_enum(in.policy(), Policy::keep_power_factor, m.policy)) return false;
   m.who.name = name_of(in.name().c_str());
@@ -203,17 +232,10 @@ void encode(const DecisionMessage& m, wire::SetpointDecision& out) {
   out.decided_step(d.decided_step);
   out.standing_reference_id(d.standing_reference_id);
   out.request_fingerprint(d.request_fingerprint);
-  out.margins().clear();
-  for (const LimitMargin& margin : d.margins) {
-    wire::LimitMargin& item = out.margins().emplace_back();
-    item.limit(static_cast<wire::LimitName>(margin.limit));
-    item.enforced(margin.enforced);
-    item.margin(margin.margin);
-    item.required(margin.required);
-    item.grid_resistance(margin.grid.R_g);
-    item.grid_inductance_s(margin.grid.L_g);
-    item.grid_voltage(margin.grid.V);
-  }
+  out.unit_state(static_cast<std::uint32_t>(d.unit_state));
+  out.measured_grid_voltage_min(d.measured_V.low);
+  out.measured_grid_voltage_max(d.measured_V.high);
+  encode(d.margins, out.margins());
   out.text(cut(m.text, 255));
 }
 
@@ -222,9 +244,9 @@ bool decode(const wire::SetpointDecision& in, DecisionMessage& m) {
   d = {};
   d.client = in.client();
   d.id = in.id();
-  if (!decode_enum(in.kind(), RequestKind::set_grid, d.kind)) return false;
-  if (!decode_enum(in.verdict(), Verdict::nothing_stands, d.verdict)) return false;
-  if (!decode_enum(in.field(), Field::grid, d.field)) return false;
+  if (!decode_enum(in.kind(), RequestKind::revalidate, d.kind)) return false;
+  if (!decode_enum(in.verdict(), Verdict::interlocked, d.verdict)) return false;
+  if (!decode_enum(in.field(), Field::kind, d.field)) return false;
   d.setpoint = {in.active_power(), in.reactive_power(), in.dc_voltage()};
   if (in.reference_id() != 0)
     d.reference = Reference{.id = in.reference_id(),
@@ -252,17 +274,49 @@ bool decode(const wire::SetpointDecision& in, DecisionMessage& m) {
   d.decided_step = in.decided_step();
   d.standing_reference_id = in.standing_reference_id();
   d.request_fingerprint = in.request_fingerprint();
-  if (in.margins().size() > margin_count) return false;
-  for (const wire::LimitMargin& item : in.margins()) {
-    LimitMargin margin{.enforced = item.enforced(),
-                       .margin = item.margin(),
-                       .required = item.required(),
-                       .grid = {item.grid_resistance(), item.grid_inductance_s(), item.grid_voltage()}};
-    if (!decode_enum(item.limit(), Limit::transient, margin.limit)) return false;
-    d.margins.add(margin);
-  }
+  if (!decode_enum(in.unit_state(), UnitState::ready, d.unit_state)) return false;
+  d.measured_V = {in.measured_grid_voltage_min(), in.measured_grid_voltage_max()};
+  if (!decode(in.margins(), d.margins)) return false;
   m.text = in.text().c_str();
   return true;
+}
+
+void encode(const Envelope& m, wire::Envelope& out) {
+  out.reference_id(m.reference_id);
+  out.step(m.step);
+  out.grid_resistance_min(m.grid.R_g.low);
+  out.grid_resistance_max(m.grid.R_g.high);
+  out.grid_reactance_min(m.grid.X_g.low);
+  out.grid_reactance_max(m.grid.X_g.high);
+  out.grid_voltage_min(m.grid.V.low);
+  out.grid_voltage_max(m.grid.V.high);
+  out.active_power(m.setpoint.p);
+  out.reactive_power(m.setpoint.q);
+  out.dc_voltage(m.setpoint.v_c);
+  out.lease_end_step(m.lease_end_step);
+  out.fallen_back(m.fallen_back);
+  out.fallback_holds(m.fallback_holds);
+  out.holder_source(static_cast<wire::Source>(m.holder.source));
+  out.holder_name(m.holder.name.text.data());
+  out.held_until_step(m.held_until_step);
+  encode(m.margins, out.margins());
+}
+
+bool decode(const wire::Envelope& in, Envelope& m) {
+  m = {};
+  m.reference_id = in.reference_id();
+  m.step = in.step();
+  m.grid.R_g = {in.grid_resistance_min(), in.grid_resistance_max()};
+  m.grid.X_g = {in.grid_reactance_min(), in.grid_reactance_max()};
+  m.grid.V = {in.grid_voltage_min(), in.grid_voltage_max()};
+  m.setpoint = {in.active_power(), in.reactive_power(), in.dc_voltage()};
+  m.lease_end_step = in.lease_end_step();
+  m.fallen_back = in.fallen_back();
+  m.fallback_holds = in.fallback_holds();
+  if (!decode_enum(in.holder_source(), Source::protection, m.holder.source)) return false;
+  m.holder.name = name_of(in.holder_name().c_str());
+  m.held_until_step = in.held_until_step();
+  return decode(in.margins(), m.margins);
 }
 
 void encode(const Reference& m, wire::Reference& out) {

@@ -34,6 +34,7 @@ WEAKGRID_TOPIC(Measurement, Measurement, "weakgrid/measurement", sample)
 WEAKGRID_TOPIC(Modulation, Modulation, "weakgrid/modulation", sample)
 WEAKGRID_TOPIC(Request, SetpointRequest, "weakgrid/setpoint_request", command)
 WEAKGRID_TOPIC(DecisionMessage, SetpointDecision, "weakgrid/setpoint_decision", command)
+WEAKGRID_TOPIC(Envelope, Envelope, "weakgrid/envelope", state)
 WEAKGRID_TOPIC(Reference, Reference, "weakgrid/reference", state)
 WEAKGRID_TOPIC(Operation, Operation, "weakgrid/operation", command)
 WEAKGRID_TOPIC(ControllerState, ControllerState, "weakgrid/controller_state", sample)
@@ -42,15 +43,17 @@ WEAKGRID_TOPIC(Manifest, Manifest, "weakgrid/manifest", state)
 #undef WEAKGRID_TOPIC
 
 /// Every message that travels, for what is instantiated for each.
-#define WEAKGRID_MESSAGES(DO)                                                                               \
-  DO(Measurement)                                                                                           \
-  DO(Modulation) DO(Request) DO(DecisionMessage) DO(Reference) DO(Operation) DO(ControllerState) DO(Health) \
-      DO(Manifest)
+#define WEAKGRID_MESSAGES(DO) \
+  DO(Measurement)             \
+  DO(Modulation)              \
+  DO(Request)                 \
+  DO(DecisionMessage) DO(Reference) DO(Operation) DO(ControllerState) DO(Health) DO(Manifest) DO(Envelope)
 
 void encode(const Measurement& message, wire::Measurement& out);
 void encode(const Modulation& message, wire::Modulation& out);
 void encode(const Request& message, wire::SetpointRequest& out);
 void encode(const DecisionMessage& message, wire::SetpointDecision& out);
+void encode(const Envelope& message, wire::Envelope& out);
 void encode(const Reference& message, wire::Reference& out);
 void encode(const Operation& message, wire::Operation& out);
 void encode(const ControllerState& message, wire::ControllerState& out);
@@ -61,6 +64,7 @@ void encode(const Manifest& message, wire::Manifest& out);
 [[nodiscard]] bool decode(const wire::Modulation& in, Modulation& message);
 [[nodiscard]] bool decode(const wire::SetpointRequest& in, Request& message);
 [[nodiscard]] bool decode(const wire::SetpointDecision& in, DecisionMessage& message);
+[[nodiscard]] bool decode(const wire::Envelope& in, Envelope& message);
 [[nodiscard]] bool decode(const wire::Reference& in, Reference& message);
 [[nodiscard]] bool decode(const wire::Operation& in, Operation& message);
 [[nodiscard]] bool decode(const wire::ControllerState& in, ControllerState& message);

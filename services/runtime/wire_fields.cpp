@@ -37,17 +37,19 @@ Value enumerator(Enum value, const char* const (&names)[n]) {
 }
 
 Value value_of(wire::Verdict value) {
-  return enumerator(value,
-                    {"ACCEPTED", "OUTSIDE_ENVELOPE", "BAD_REQUEST", "STALE_REQUEST", "UNIT_BLOCKED",
-                     "NOT_AUTHORISED", "PATH_OUTSIDE", "NOT_STABLE", "NO_SUCH_OFFER", "NOTHING_STANDS"});
+  return enumerator(value, {"ACCEPTED", "OUTSIDE_ENVELOPE", "BAD_REQUEST", "STALE_REQUEST", "UNIT_BLOCKED",
+                            "NOT_AUTHORISED", "PATH_OUTSIDE", "NOT_STABLE", "NO_SUCH_OFFER", "NOTHING_STANDS",
+                            "INTERLOCKED"});
 }
 Value value_of(wire::RequestField value) {
-  return enumerator(value, {"NO_FIELD", "FIELD_CLIENT", "FIELD_ID", "FIELD_GIVEN", "FIELD_ACTIVE_POWER",
-                            "FIELD_REACTIVE_POWER", "FIELD_DC_VOLTAGE", "FIELD_RAMP_S",
-                            "FIELD_EFFECTIVE_STEP", "FIELD_SOURCE", "FIELD_LEASE_S", "FIELD_GRID"});
+  return enumerator(value,
+                    {"NO_FIELD", "FIELD_CLIENT", "FIELD_ID", "FIELD_GIVEN", "FIELD_ACTIVE_POWER",
+                     "FIELD_REACTIVE_POWER", "FIELD_DC_VOLTAGE", "FIELD_RAMP_S", "FIELD_EFFECTIVE_STEP",
+                     "FIELD_SOURCE", "FIELD_LEASE_S", "FIELD_GRID", "FIELD_KIND"});
 }
 Value value_of(wire::RequestKind value) {
-  return enumerator(value, {"SET", "ACCEPT", "RENEW", "TAKE", "RELEASE", "SET_GRID"});
+  return enumerator(value, {"SET", "ACCEPT", "RENEW", "TAKE", "RELEASE", "SET_GRID", "START_UNIT",
+                            "STOP_UNIT", "RESET_UNIT", "REVALIDATE"});
 }
 Value value_of(wire::Source value) {
   return enumerator(value, {"SOURCE_TEST", "SOURCE_SCHEDULE", "SOURCE_OPERATION", "SOURCE_PROTECTION"});
@@ -74,6 +76,14 @@ Value sequence(const Sequence& items, Describe describe) {
     if (!text.empty()) text += ";";
     text += describe(item);
   }
+  return text;
+}
+
+std::string margin_text(const wire::LimitMargin& item) {
+  std::string text = to_text(value_of(item.limit())) + ":" + to_text(item.enforced());
+  for (const double number : {item.margin(), item.required(), item.grid_resistance(),
+                              item.grid_inductance_s(), item.grid_voltage()})
+    text += ":" + to_text(number);
   return text;
 }
 
@@ -163,16 +173,33 @@ WireFields list(const wire::SetpointDecision& m) {
           FIELD(decided_step),
           FIELD(standing_reference_id),
           FIELD(request_fingerprint),
-          {"margins",
-           sequence(m.margins(),
-                    [](const wire::LimitMargin& item) {
-                      std::string text = to_text(value_of(item.limit())) + ":" + to_text(item.enforced());
-                      for (const double number : {item.margin(), item.required(), item.grid_resistance(),
-                                                  item.grid_inductance_s(), item.grid_voltage()})
-                        text += ":" + to_text(number);
-                      return text;
-                    })},
+          FIELD(unit_state),
+          FIELD(measured_grid_voltage_min),
+          FIELD(measured_grid_voltage_max),
+          {"margins", sequence(m.margins(), margin_text)},
           FIELD(text)};
+}
+
+WireFields list(const wire::Envelope& m) {
+  return {FIELD(unit),
+          FIELD(reference_id),
+          FIELD(step),
+          FIELD(grid_resistance_min),
+          FIELD(grid_resistance_max),
+          FIELD(grid_reactance_min),
+          FIELD(grid_reactance_max),
+          FIELD(grid_voltage_min),
+          FIELD(grid_voltage_max),
+          FIELD(active_power),
+          FIELD(reactive_power),
+          FIELD(dc_voltage),
+          FIELD(lease_end_step),
+          FIELD(fallen_back),
+          FIELD(fallback_holds),
+          FIELD(holder_source),
+          FIELD(holder_name),
+          FIELD(held_until_step),
+          {"margins", sequence(m.margins(), margin_text)}};
 }
 
 WireFields list(const wire::Reference& m) {
@@ -292,6 +319,7 @@ void with_type(std::string_view type, Use use) {
   TRY(Modulation)
   TRY(SetpointRequest)
   TRY(SetpointDecision)
+  TRY(Envelope)
   TRY(Reference)
   TRY(Operation)
   TRY(ControllerState)

@@ -162,6 +162,7 @@ void exercise_payload(ByteView payload) {
   take_payload<Modulation>("weakgrid::wire::Modulation", payload);
   take_payload<Request>("weakgrid::wire::SetpointRequest", payload);
   take_payload<DecisionMessage>("weakgrid::wire::SetpointDecision", payload);
+  take_payload<Envelope>("weakgrid::wire::Envelope", payload);
   take_payload<Reference>("weakgrid::wire::Reference", payload);
   take_payload<Operation>("weakgrid::wire::Operation", payload);
   take_payload<ControllerState>("weakgrid::wire::ControllerState", payload);

@@ -45,10 +45,15 @@ std::vector<Sample> samples() {
                           .settings = "[unit]\nnumber = 1\n",
                           .constants = {{"a", 0.1}, {"b", 1e300}},
                           .digest = std::string(64, 'b')};
+  Envelope envelope;
+  envelope.held_until_step = 1000;
+  envelope.holder.name.text = {'a', 'n', 'n'};
+  envelope.margins.add({Limit::current, true, 0.25});
   return {sample("weakgrid::wire::Measurement", measurement),
           sample("weakgrid::wire::Modulation", Modulation{}),
           sample("weakgrid::wire::SetpointRequest", Request{}),
           sample("weakgrid::wire::SetpointDecision", decision),
+          sample("weakgrid::wire::Envelope", envelope),
           sample("weakgrid::wire::Reference", Reference{.id = 1, .p = 0.5, .v_c = 1.8}),
           sample("weakgrid::wire::Operation", Operation{.client = 1, .id = 2, .until_step = 3}),
           sample("weakgrid::wire::ControllerState", ControllerState{}),
@@ -110,8 +115,12 @@ std::vector<std::string> settings_seeds() {
   Scenario& scenario = settings.scenario.emplace();
   scenario.title = "fuzz \"µ\"";
   scenario.end_s = 1.0;
-  scenario.setpoints = {
-      {.at_s = 0.1, .active_power = 0.5, .reactive_power = {}, .dc_voltage = {}, .ramp_s = 0.1, .lease_s = 0.0}};
+  scenario.setpoints = {{.at_s = 0.1,
+                         .active_power = 0.5,
+                         .reactive_power = {},
+                         .dc_voltage = {},
+                         .ramp_s = 0.1,
+                         .lease_s = 0.0}};
   scenario.events = {{.at_s = 0.2, .quantity = Quantity::source_power, .value = 1.0, .ramp_s = 0.0}};
   return {"", to_toml(Settings{}), to_toml(settings), "[unit]\nnumber = 0\n",
           "unit = { number = 1, domain = 2 }\n"};

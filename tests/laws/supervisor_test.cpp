@@ -204,6 +204,82 @@ TEST(Supervisor, AWiderGridDeratesWhatItNoLongerCarries) {
   EXPECT_EQ(ann.grid({0.6, 0.1}, 30'001).field, Field::grid);
 }
 
+TEST(Supervisor, AMeasuredVoltageThatNoKnownGridExplainsDeratesTooAndStaysKnown) {
+  Arbiter arbiter{weak_grid(0.1, 0.1)};
+  Asker ann(arbiter, holder("ann"), 1);
+  ASSERT_EQ(ann.set(0.97, 0.0, 1000).verdict, Verdict::accepted);
+  const Decision lower = arbiter.revalidate({0.9, 0.92}, 20'000);
+  EXPECT_EQ(lower.kind, RequestKind::revalidate);
+  ASSERT_TRUE(lower.reference) << "1 pu of current carries less at 0.9";
+  EXPECT_LT(lower.reference->p, 0.95);
+  EXPECT_EQ(lower.holder, holder("ann")) << "it stays hers";
+  EXPECT_EQ(arbiter.rules().box.V, (Interval{0.9, 1.0}));
+  EXPECT_FALSE(arbiter.revalidate({0.93, 0.95}, 30'000).reference) << "known already";
+  EXPECT_EQ(ann.set(0.97, 0.0, 40'000).verdict, Verdict::outside_envelope);
+  ann.grid({0.1, 0.1}, 50'000);
+  EXPECT_EQ(ann.set(0.97, 0.0, 60'000).verdict, Verdict::accepted) << "an operator has told otherwise";
+  // However absurd a measurement: the box stays one that a grid can have.
+  (void)arbiter.revalidate({std::nan(""), 1e300}, 70'000);
+  EXPECT_TRUE(is_valid(arbiter.rules().box));
+  EXPECT_EQ(ann.does(RequestKind::revalidate, 80'000).field, Field::kind) << "nobody's request";
+}
+
+TEST(Supervisor, StartStopAndResetAreInterlocked) {
+  struct Case {
+    RequestKind kind;
+    UnitState state;
+    Verdict verdict;
+  };
+  using enum RequestKind;
+  using enum UnitState;
+  for (const Case& x :
+       {Case{start, off, Verdict::accepted}, Case{start, running, Verdict::interlocked},
+        Case{start, tripped, Verdict::interlocked}, Case{start, precharge, Verdict::interlocked},
+        Case{reset, tripped, Verdict::accepted}, Case{reset, off, Verdict::interlocked},
+        Case{reset, running, Verdict::interlocked}, Case{stop, running, Verdict::accepted},
+        Case{stop, holding, Verdict::accepted}, Case{stop, tripped, Verdict::accepted},
+        Case{stop, precharge, Verdict::accepted}, Case{stop, off, Verdict::interlocked}}) {
+    Arbiter arbiter{weak_grid()};
+    arbiter.note_unit(x.state);
+    const Decision decision = Asker(arbiter, holder("ann"), 1).does(x.kind, 1000);
+    EXPECT_EQ(decision.verdict, x.verdict) << int(x.kind) << " while " << name(x.state);
+    EXPECT_EQ(decision.unit_state, x.state);
+    EXPECT_FALSE(decision.reference);
+  }
+  // Idle grows on this one: to close would be to trip, or worse.
+  Arbiter weaker{weak_grid(0.3, 0.45)};
+  weaker.note_unit(UnitState::tripped);
+  const Decision refused = Asker(weaker, holder("ann"), 1).does(RequestKind::reset, 1000);
+  EXPECT_EQ(refused.verdict, Verdict::interlocked);
+  ASSERT_NE(refused.margins.find(Limit::decay), nullptr);
+  EXPECT_TRUE(violated(*refused.margins.find(Limit::decay)));
+}
+
+TEST(Supervisor, WhoHoldsAuthorityStartsAndResetsButAnybodyStops) {
+  Arbiter arbiter{weak_grid()};
+  Asker ann(arbiter, holder("ann"), 1), bob(arbiter, holder("bob", Source::test), 2);
+  ASSERT_EQ(ann.set(0.3, 0.0, 1000).verdict, Verdict::accepted);
+  arbiter.note_unit(UnitState::tripped);
+  EXPECT_EQ(bob.does(RequestKind::reset, 2000).verdict, Verdict::not_authorised);
+  EXPECT_EQ(ann.does(RequestKind::reset, 2000).verdict, Verdict::accepted);
+  arbiter.note_unit(UnitState::running);
+  const Decision stopped = bob.does(RequestKind::stop, 3000);
+  EXPECT_EQ(stopped.verdict, Verdict::accepted);
+  EXPECT_EQ(stopped.held_until_step, 0u) << "nobody's any more";
+}
+
+TEST(Supervisor, FallingBackIsAnOrderWithoutALeaseThatNobodyHolds) {
+  Arbiter arbiter{weak_grid()};
+  Asker ann(arbiter, holder("ann"), 1);
+  arbiter.note_foreign_reference(7);
+  const Reference back = arbiter.fall_back(1000);
+  EXPECT_EQ(back.id, 8u);
+  EXPECT_EQ(back.p, 0.0);
+  EXPECT_EQ(back.lease_end_step, 0u);
+  EXPECT_GT(back.ramp_steps, 100u);
+  EXPECT_EQ(ann.set(0.3, 0.0, 3000).verdict, Verdict::accepted);
+}
+
 TEST(Supervisor, DrawnPowerOnAWeakGridIsNotStableAndTheDecisionSaysSo) {
   Arbiter arbiter{weak_grid()};
   Asker ann(arbiter, holder("ann"), 1);

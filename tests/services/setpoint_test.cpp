@@ -345,11 +345,17 @@ TEST(Status, WithNobodyThereIsOne) {
     EXPECT_NE(ended.out.find(std::string(service) + ": none that works"), std::string::npos) << ended.out;
 }
 
-TEST(Operate, WithoutAPlantExitsWithThree) {
+TEST(Operate, WithNobodyThereExitsWithThree) {
   const test::Domain domain;
-  const test::Ended ended = test::run("weakgrid", {"operate", "reset", "--domain", domain.text()});
+  const test::Ended ended =
+      test::run("weakgrid", {"operate", "reset", "--timeout", "0.5", "--domain", domain.text()});
   EXPECT_EQ(ended.status, 3);
-  EXPECT_NE(ended.err.find("no plant of unit 1 in domain " + domain.text()), std::string::npos) << ended.err;
+  EXPECT_NE(ended.err.find("no gateway of unit 1 answers in domain " + domain.text()), std::string::npos)
+      << ended.err;
+  const test::Ended advance = test::run("weakgrid", {"operate", "advance", "--domain", domain.text()});
+  EXPECT_EQ(advance.status, 3);
+  EXPECT_NE(advance.err.find("no plant of unit 1 in domain " + domain.text()), std::string::npos)
+      << advance.err;
 }
 
 }  // namespace

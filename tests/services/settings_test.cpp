@@ -284,6 +284,8 @@ std::string derived(const Settings& s) {
                       a.fallback.q, a.fallback.v_c, a.fallback_ramp_s);
   text += fmt::format("{} {} {:a} {:a} {}\n", e.starts_running, e.precharge_steps, e.protection.v_p_min,
                       e.protection.v_p_max, e.protection.v_p_steps);
+  const GridEvidence::Configuration g = evidence_configuration(s);
+  text += fmt::format("{} {} {:a}\n", g.cycle_steps, g.cycles, g.tolerance);
   text += fmt::format("{}\n", step_at(s, s.scenario->end_s));
   for (const auto& setpoint : s.scenario->setpoints) {
     const Request r = request(s, setpoint, 1, 1);
@@ -299,8 +301,9 @@ std::string derived(const Settings& s) {
 TEST(Settings, EveryKeyHasAnEffect) {
   // Read by the services themselves: who they are, where they meet, how long the plant waits, what a run is
   // called.
-  const std::set<std::string> read_elsewhere{"unit.number",    "unit.domain",    "plant.patience_s",
-                                             "dds.interfaces", "scenario.title", "gateway.journal"};
+  const std::set<std::string> read_elsewhere{"unit.number",          "unit.domain",    "plant.patience_s",
+                                             "dds.interfaces",       "scenario.title", "gateway.journal",
+                                             "gateway.after_restart"};
   Settings settings;
   settings.scenario.emplace();
   settings.scenario->end_s = 1.0;

@@ -4,6 +4,7 @@
 #include <unistd.h>
 
 #include <filesystem>
+#include <fstream>
 #include <nlohmann/json.hpp>
 #include <random>
 
@@ -171,6 +172,110 @@ TEST_F(Supervised, AGridToldWeakerDeratesAndTheNextGatewayKnowsIt) {
   services_.start("gateway");
   const auto [refused, no] = ask({"set", "--p", "0.9", "--q", "0.1", "--name", "ann"});
   EXPECT_EQ(no, 1) << "the grid it was told of is remembered: " << refused.dump(2);
+}
+
+// The plant waits at step 2000 until something stands; then its grid gives way.
+TEST_F(Supervised, AGridMeasuredToHaveGivenWayDeratesByItself) {
+  const test::TextFile file(
+      "[grid]\nreactance = 0.3\n[gateway]\ngrid_reactance = [0.25, 0.35]\njournal = \"" + journal_ +
+      "\"\n[scenario]\nend_s = 1000.0\n"
+      "[[scenario.event]]\nat_s = 0.5\nquantity = \"grid_voltage\"\nvalue = 0.88\nramp_s = 0.02\n");
+  const test::Domain domain;
+  for (const char* service : {"plant", "controller", "gateway"}) services_[service].kill();
+  test::Services services(domain, file.path());
+  services.start("plant", {"--until", "2000"});
+  services.start("controller");
+  services.start("gateway");
+  test::Bystander bystander(domain);
+  ASSERT_TRUE(test::wait_until([&] { return bystander.is("plant", ServiceState::waiting); }));
+  ASSERT_TRUE(bystander.order(0.9, 0.1));
+  ASSERT_TRUE(bystander.client().operate(OperationKind::advance, ~std::uint64_t{0}, test::long_enough));
+  std::optional<Envelope> envelope;
+  ASSERT_TRUE(test::wait_until([&] {
+    envelope = bystander.client().envelope();
+    return envelope && envelope->reference_id == 2;
+  })) << bystander.words();
+  EXPECT_LT(envelope->setpoint.p, 0.9);
+  EXPECT_LT(envelope->grid.V.low, 0.9);
+  EXPECT_EQ(envelope->grid.V.high, 1.0);
+  EXPECT_GT(envelope->held_until_step, 0u) << "who holds authority still does";
+  for (const LimitMargin& margin : envelope->margins) EXPECT_FALSE(violated(margin)) << int(margin.limit);
+  EXPECT_TRUE(bystander.settles_at(envelope->setpoint.p, envelope->setpoint.q));
+  const auto last = bystander.measurement();
+  EXPECT_LT(abs(last->i), 1.001) << "the limit that the grid's voltage had broken";
+  const test::Ended told = test::run("weakgrid", {"journal", journal_});
+  EXPECT_NE(told.out.find("measured: |v_g|"), std::string::npos) << told.out;
+}
+
+TEST_F(Supervised, WhoIsOverruledIsToldAtOnce) {
+  test::Program plan("weakgrid", {"set", "--p", "0.3", "--as", "schedule", "--name", "plan", "--lease",
+                                  "3000", "--hold", "--domain", domain_.text()});
+  ASSERT_TRUE(bystander_->settles_at(0.3, 0.0));
+  ASSERT_EQ(ask({"authority", "take", "--name", "ann"}).second, 0);
+  ASSERT_EQ(plan.wait(), 1) << plan.err();
+  EXPECT_NE(plan.out().find("ann (operation) holds authority"), std::string::npos) << plan.out();
+}
+
+TEST_F(Supervised, StatusTellsWhatStandsAndWhoseItIs) {
+  ASSERT_EQ(ask({"set", "--p", "0.3", "--q", "0.1", "--name", "ann"}).second, 0);
+  const test::Ended status = weakgrid({"status", "--json"});
+  ASSERT_EQ(status.status, 0) << status.out;
+  const json envelope = json::parse(status.out, nullptr, false)["envelope"];
+  EXPECT_EQ(envelope["standing"]["active_power"], 0.3) << status.out;
+  EXPECT_EQ(envelope["holder"]["name"], "ann");
+  EXPECT_EQ(envelope["grid_reactance"], json({0.25, 0.35})) << envelope.dump(2);
+  EXPECT_EQ(envelope["fallback_holds"], true);
+  EXPECT_NE(weakgrid({"status"}).out.find("authority: ann (operation)"), std::string::npos);
+}
+
+TEST_F(Supervised, ARestartedGatewayFallsBackIfThatIsWanted) {
+  const test::TextFile file("[grid]\nreactance = 0.3\n[gateway]\nafter_restart = \"fallback\"\njournal = \"" +
+                            journal_ + "\"\n");
+  const test::Domain domain;
+  for (const char* service : {"plant", "controller", "gateway"}) services_[service].kill();
+  test::Services services(domain, file.path());
+  services.start_all();
+  test::Bystander bystander(domain);
+  ASSERT_TRUE(bystander.runs());
+  ASSERT_TRUE(bystander.order(0.4, 0.1));
+  ASSERT_TRUE(bystander.settles_at(0.4, 0.1));
+  services["gateway"].kill();
+  ASSERT_TRUE(bystander.settles_at(0.4, 0.1)) << "without a gateway what was ordered stands";
+  services.start("gateway");
+  EXPECT_TRUE(bystander.settles_at(0.0, 0.0)) << bystander.words();
+  EXPECT_EQ(bystander.count("plant", "tripped"), 0u);
+  EXPECT_EQ(entries("fallback"), 1u);
+}
+
+TEST_F(Supervised, AScheduleMayBeATable) {
+  const auto table = [](const std::string& text) {
+    const std::string file =
+        std::filesystem::temp_directory_path() / ("weakgrid_table_" + std::to_string(::getpid()) + ".csv");
+    std::ofstream(file) << text;
+    return file;
+  };
+  std::string file = table("at_s,active_power,reactive_power\n0.1,0.2,\n0.4,0.7,-0.7\n");
+  const test::Ended refused = weakgrid({"schedule", file});
+  EXPECT_EQ(refused.status, 1) << refused.out << refused.err;
+  EXPECT_NE(refused.err.find("nothing was sent"), std::string::npos) << refused.err;
+  file = table("at_s,active_power,reactive_power,lease_s\n0.1,0.2,,\n0.6,0.3,0.1,5\n");
+  const test::Ended played = weakgrid({"schedule", file});
+  EXPECT_EQ(played.status, 0) << played.out << played.err;
+  EXPECT_TRUE(bystander_->settles_at(0.3, 0.1));
+  EXPECT_TRUE(bystander_->settles_at(0.0, 0.0)) << "its lease ends";
+  for (const auto& [text, complaint] : std::initializer_list<std::pair<const char*, const char*>>{
+           {"active_power\n0.1\n", ":1: no column at_s"},
+           {"at_s,p\n0,0.1\n", ":1: column 'p'; allowed: at_s"},
+           {"at_s,active_power\n0,nan\n", ":2: active_power: 'nan'; allowed: a number from -10 to 10"},
+           {"at_s,active_power\n0,0.1\n0,0.2\n", ":3: at_s: 0 is not after 0"},
+           {"at_s,active_power\n0\n", ":2: 1 cells, the first line names 2"},
+           {"at_s,active_power\n0,\n", ":2: nothing asked for"},
+           {"at_s\n", ": no setpoint"}}) {
+    const test::Ended bad = weakgrid({"schedule", table(text)});
+    EXPECT_EQ(bad.status, 2) << text;
+    EXPECT_NE(bad.err.find(complaint), std::string::npos) << bad.err;
+  }
+  std::filesystem::remove(file);
 }
 
 TEST_F(Supervised, AScheduleIsCheckedAsAWholeBeforeTheFirstIsSent) {

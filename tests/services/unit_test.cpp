@@ -44,7 +44,7 @@ TEST(Unit, WithNoGatewayPlantAndControllerGoToTheFallbackWhenTheLeaseEnds) {
   EXPECT_FALSE(bystander.measurement()->fallback);
 }
 
-TEST(Unit, ThatStartsOffIsStartedAndStoppedByOperations) {
+TEST(Unit, ThatStartsOffIsStartedAndStoppedThroughTheGateway) {
   const test::Domain domain;
   const test::TextFile settings("[grid]\nreactance = 0.3\n[plant]\nstart = \"off\"\nprecharge_s = 0.05\n");
   test::Services services(domain, settings.path());
@@ -54,9 +54,11 @@ TEST(Unit, ThatStartsOffIsStartedAndStoppedByOperations) {
     return test::wait_until(
         [&] { return bystander.measurement() && bystander.measurement()->state == state; });
   };
-  const auto operate = [&](const char* verb) {
-    const test::Ended ended = test::run("weakgrid", {"operate", verb, "--domain", domain.text()});
-    EXPECT_EQ(ended.status, 0) << verb << ": " << ended.err;
+  const auto operate = [&](const char* verb, int status = 0, const char* word = "the plant is told to") {
+    const test::Ended ended = test::run(
+        "weakgrid", {"operate", verb, "--name", "somebody", "--timeout", "60", "--domain", domain.text()});
+    EXPECT_EQ(ended.status, status) << verb << ": " << ended.out << ended.err;
+    EXPECT_NE(ended.out.find(word), std::string::npos) << ended.out;
   };
   ASSERT_TRUE(bystander.runs());
   EXPECT_TRUE(is(UnitState::off)) << bystander.words();
@@ -67,7 +69,10 @@ TEST(Unit, ThatStartsOffIsStartedAndStoppedByOperations) {
   ASSERT_TRUE(is(UnitState::running)) << bystander.words();
   ASSERT_TRUE(bystander.order(0.5, 0.1));
   ASSERT_TRUE(bystander.settles_at(0.5, 0.1));
-  operate("start");
+  operate("start", 1, "interlocked: the unit is running, start needs off");
+  operate("reset", 1, "interlocked: the unit is running, reset needs tripped");
+  // Who goes round the gateway meets the plant's own.
+  ASSERT_TRUE(bystander.client().operate(OperationKind::start, 0, test::long_enough));
   EXPECT_TRUE(test::wait_until([&] { return bystander.count("plant", "refused_operations") == 1; }));
   operate("stop");
   ASSERT_TRUE(is(UnitState::off));

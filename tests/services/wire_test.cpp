@@ -143,7 +143,7 @@ TEST(Wire, RequestIsReceivedAsSentBitForBit) {
     Request sent;
     sent.client = random.whole<std::uint64_t>();
     sent.id = random.whole<std::uint32_t>();
-    sent.kind = static_cast<RequestKind>(random.up_to(5));
+    sent.kind = static_cast<RequestKind>(random.up_to(9));
     sent.who = random_holder(random);
     sent.policy = static_cast<Policy>(random.up_to(3));
     sent.token = random.whole<std::uint32_t>();
@@ -213,9 +213,11 @@ DecisionMessage random_decision(Random& random) {
   DecisionMessage m;
   m.decision.client = random.whole<std::uint64_t>();
   m.decision.id = random.whole<std::uint32_t>();
-  m.decision.kind = static_cast<RequestKind>(random.up_to(5));
-  m.decision.verdict = static_cast<Verdict>(random.up_to(9));
-  m.decision.field = static_cast<Field>(random.up_to(11));
+  m.decision.kind = static_cast<RequestKind>(random.up_to(9));
+  m.decision.verdict = static_cast<Verdict>(random.up_to(10));
+  m.decision.field = static_cast<Field>(random.up_to(12));
+  m.decision.unit_state = static_cast<UnitState>(random.up_to(5));
+  m.decision.measured_V = {random.real(), random.real()};
   m.decision.setpoint = {random.real(), random.real(), random.real()};
   m.decision.leaves_at = {random.real(), random.real(), random.real()};
   m.decision.holder = random_holder(random);
@@ -253,6 +255,9 @@ TEST(Wire, DecisionIsReceivedAsSentBitForBit) {
     EXPECT_EQ(in.client, out.client);
     EXPECT_EQ(in.id, out.id);
     EXPECT_EQ(in.kind, out.kind);
+    EXPECT_EQ(in.unit_state, out.unit_state);
+    EXPECT_SAME_BITS(in.measured_V.low, out.measured_V.low);
+    EXPECT_SAME_BITS(in.measured_V.high, out.measured_V.high);
     EXPECT_EQ(in.holder, out.holder);
     EXPECT_EQ(in.held_until_step, out.held_until_step);
     EXPECT_EQ(in.steps_to_reach, out.steps_to_reach);
@@ -282,6 +287,39 @@ TEST(Wire, DecisionIsReceivedAsSentBitForBit) {
     }
     ASSERT_EQ(in.reference.has_value(), out.reference.has_value());
     if (out.reference) expect_same(*in.reference, *out.reference);
+    ASSERT_FALSE(HasFailure()) << "round " << n;
+  }
+}
+
+Envelope random_envelope(Random& random) {
+  Envelope e;
+  e.step = random.whole<std::uint64_t>();
+  e.reference_id = random.whole<std::uint32_t>();
+  for (Interval* x : {&e.grid.R_g, &e.grid.X_g, &e.grid.V}) *x = {random.real(), random.real()};
+  e.setpoint = {random.real(), random.real(), random.real()};
+  e.lease_end_step = random.whole<std::uint64_t>();
+  e.fallen_back = random.flag();
+  e.fallback_holds = random.flag();
+  e.holder = random_holder(random);
+  e.held_until_step = random.whole<std::uint64_t>();
+  for (std::uint32_t n = random.up_to(margin_count); n > 0; --n)
+    e.margins.add({static_cast<Limit>(random.up_to(9)), random.flag(), random.real(), random.real(), {}});
+  return e;
+}
+
+// The fields tell whether two are the same; that they are all of them, the test against the IDL tells.
+TEST(Wire, EnvelopeIsReceivedAsSentBitForBit) {
+  Random random;
+  for (int n = 0; n < rounds; ++n) {
+    const Envelope sent = random_envelope(random);
+    const Envelope received = sent_and_received(sent);
+    EXPECT_SAME_BITS(received.grid.X_g.high, sent.grid.X_g.high);
+    EXPECT_SAME_BITS(received.setpoint.q, sent.setpoint.q);
+    EXPECT_EQ(received.holder, sent.holder);
+    const auto before = fields_of(1, sent), after = fields_of(1, received);
+    ASSERT_EQ(before.size(), after.size());
+    for (std::size_t k = 0; k < before.size(); ++k)
+      EXPECT_TRUE(is_same(before[k].value, after[k].value)) << before[k].name;
     ASSERT_FALSE(HasFailure()) << "round " << n;
   }
 }
@@ -524,16 +562,25 @@ void expect_enumerators_refused(const Message& message, std::uint32_t last, Put 
 }
 
 TEST(Wire, EnumeratorOutOfRangeIsRefused) {
+  expect_enumerators_refused<wire::Envelope>(
+      Envelope{}, wire::SOURCE_PROTECTION,
+      [](auto& wire, std::uint32_t value) { wire.holder_source(static_cast<wire::Source>(value)); });
   DecisionMessage decision;
+  expect_enumerators_refused<wire::SetpointDecision>(
+      decision, static_cast<std::uint32_t>(UnitState::ready),
+      [](auto& wire, std::uint32_t value) { wire.unit_state(value); });
+  expect_enumerators_refused<wire::SetpointDecision>(
+      decision, wire::REVALIDATE,
+      [](auto& wire, std::uint32_t value) { wire.kind(static_cast<wire::RequestKind>(value)); });
   decision.decision.margins.add({Limit::current, true, 0.1});
   expect_enumerators_refused<wire::SetpointDecision>(
-      decision, wire::NOTHING_STANDS,
+      decision, wire::INTERLOCKED,
       [](auto& wire, std::uint32_t value) { wire.verdict(static_cast<wire::Verdict>(value)); });
   expect_enumerators_refused<wire::SetpointDecision>(
       decision, wire::TRANSIENT,
       [](auto& wire, std::uint32_t value) { wire.margins()[0].limit(static_cast<wire::LimitName>(value)); });
   expect_enumerators_refused<wire::SetpointDecision>(
-      decision, wire::FIELD_GRID,
+      decision, wire::FIELD_KIND,
       [](auto& wire, std::uint32_t value) { wire.field(static_cast<wire::RequestField>(value)); });
   expect_enumerators_refused<wire::Operation>(Operation{}, wire::STOP, [](auto& wire, std::uint32_t value) {
     wire.kind(static_cast<wire::OperationKind>(value));

@@ -167,10 +167,12 @@ Ended run(const std::string& name, const std::vector<std::string>& arguments, mi
 Services::Services(const Domain& domain, const std::string& settings)
     : arguments_{"--settings", settings, "--domain", domain.text()} {}
 
-Program& Services::start(const std::string& service) {
+Program& Services::start(const std::string& service, const std::vector<std::string>& further) {
   auto& program = programs_[service];
   program.reset();
-  program = std::make_unique<Program>("weakgrid-" + service, arguments_);
+  std::vector<std::string> arguments = arguments_;
+  arguments.insert(arguments.end(), further.begin(), further.end());
+  program = std::make_unique<Program>("weakgrid-" + service, arguments);
   return *program;
 }
 

@@ -108,7 +108,7 @@ class Services {
   Services(const Domain& domain, const std::string& settings);
 
   /// Starts what a test has not, or has killed or stopped.
-  Program& start(const std::string& service);
+  Program& start(const std::string& service, const std::vector<std::string>& further = {});
   void start_all();
   Program& operator[](const std::string& service) { return *programs_.at(service); }
 
