@@ -78,9 +78,12 @@ void Emulator::run_period(std::optional<SpaceVector> mu) noexcept {
   const SpaceVector in_force = delayed ? mu_next_ : mu.value_or(continued);
   plant_.advance(in_force, surroundings_.source_power(), surroundings_.grid());
   mu_next_ = delayed ? mu.value_or(plant_.mu_turned()) : plant_.mu_turned();
-  trip_ = violated();
-  if (trip_ == Trip::none) return;
-  trip_step_ = step_ + 1;
+  if (const Trip cause = violated(); cause != Trip::none) open(cause, step_ + 1);
+}
+
+void Emulator::open(Trip cause, std::uint64_t step) noexcept {
+  trip_ = cause;
+  trip_step_ = step;
   state_ = UnitState::tripped;
   track_.cancel();
   plant_.restart(configuration_.v_c, surroundings_.grid());
@@ -122,6 +125,13 @@ void Emulator::close() noexcept {
 bool Emulator::accept(const Reference& reference) noexcept {
   if (!track_.accept(reference)) return false;
   follow_references();
+  return true;
+}
+
+bool Emulator::trip(Trip cause) noexcept {
+  if (is_blocked(state_)) return false;
+  open(cause, step_);
+  surroundings_.open_source();
   return true;
 }
 

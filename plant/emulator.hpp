@@ -29,9 +29,9 @@ struct EmulatorCounters {
   std::uint64_t lease_ends = 0;  ///< times that a fallback began since a lease was over
 };
 
-/// off ─start→ precharge → ready → running ⇄ holding; a limit violated → tripped ─reset_trip→ running;
-/// ─stop→ off from everywhere. In ready it waits for `usable_answers` modulations in a row.
-/// Pure, heap-free, noexcept: the same inputs give the same bits.
+/// off ─start→ precharge → ready → running ⇄ holding; a limit violated, or trip() → tripped ─reset_trip→
+/// running; ─stop→ off from everywhere. In ready it waits for `usable_answers` modulations in a row. Pure,
+/// heap-free, noexcept: the same inputs give the same bits.
 class Emulator {
  public:
   Emulator(const EmulatorConfiguration& configuration, std::span<const Event> events) noexcept;
@@ -49,6 +49,10 @@ class Emulator {
   /// A new order: the source ramps to p from effective_step on (at once if that has passed), and to the
   /// fallback from lease_end_step on. The last one counts. Refused (false) as ReferenceTrack::accept says.
   bool accept(const Reference& reference) noexcept;
+
+  /// Opens bridge and source for a cause that lies outside of the unit. False: they are open, nothing
+  /// happens.
+  bool trip(Trip cause) noexcept;
 
   /// After a trip: idle again, source at 0 until the next reference. False: there is none, nothing happens.
   bool reset_trip() noexcept;
@@ -76,6 +80,7 @@ class Emulator {
   void run_period(std::optional<SpaceVector> mu) noexcept;
   void wait_period(bool is_answered) noexcept;
   Trip violated() noexcept;
+  void open(Trip cause, std::uint64_t step) noexcept;
 
   EmulatorConfiguration configuration_;
   Plant plant_;

@@ -14,6 +14,7 @@ enum class Trip : std::uint8_t {
   not_finite,
   pcc_overvoltage,
   pcc_undervoltage,
+  overrun,  ///< whoever emulates the unit in real time has missed its time
 };
 
 struct Protection {
@@ -61,6 +62,8 @@ constexpr const char* name(Trip trip) noexcept {
       return "PCC overvoltage";
     case Trip::pcc_undervoltage:
       return "PCC undervoltage";
+    case Trip::overrun:
+      return "steps missed";
   }
   return "unknown";
 }

@@ -554,6 +554,7 @@ class EmulatorTrip : public ::testing::TestWithParam<Cause> {
     configuration.protection.i_max = GetParam().i_max;
     const std::array events{Event{0, Quantity::source_power, GetParam().p_i, 0}};
     Emulator emulator(configuration, events);
+    if (GetParam().trip == Trip::overrun) emulator.trip(Trip::overrun);
     for (int k = 0; k < 200 && emulator.trip() == Trip::none; ++k) emulator.advance(GetParam().mu);
     return emulator;
   }
@@ -564,6 +565,7 @@ INSTANTIATE_TEST_SUITE_P(
                       Cause{"dc_overvoltage", Trip::dc_overvoltage, 1.0, 100.0, SpaceVector{}},
                       Cause{"dc_undervoltage", Trip::dc_undervoltage, -1.0, 100.0, SpaceVector{}},
                       Cause{"modulation_lost", Trip::modulation_lost, 0.0, 2.0, std::nullopt},
+                      Cause{"from_outside", Trip::overrun, 0.5, 2.0, SpaceVector{}},
                       Cause{"infinite_source", Trip::not_finite, inf, 2.0, SpaceVector{}},
                       Cause{"source_not_a_number", Trip::not_finite, nan, 2.0, SpaceVector{}}),
     [](const auto& instance) { return std::string(instance.param.name); });
@@ -576,6 +578,7 @@ TEST_P(EmulatorTrip, IsNamedAndDated) {
 
 TEST_P(EmulatorTrip, OpensBridgeAndSourceAndStaysSo) {
   Emulator emulator = tripped();
+  EXPECT_FALSE(emulator.trip(Trip::overrun)) << "of a unit that is open";
   const std::uint64_t trip_step = emulator.trip_step();
   for (int k = 0; k < 50; ++k) {
     const Measurement m = emulator.sample();

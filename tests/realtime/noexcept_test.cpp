@@ -27,6 +27,7 @@ static_assert(noexcept(some<const Emulator>().sample()));
 static_assert(noexcept(some<Emulator>().advance(std::optional<SpaceVector>{})));
 static_assert(noexcept(some<Emulator>().accept(some<const Reference>())));
 static_assert(noexcept(some<Emulator>().reset_trip()));
+static_assert(noexcept(some<Emulator>().trip(Trip::overrun)));
 static_assert(noexcept(some<Plant>().advance(SpaceVector{}, 0.0, some<const Grid>())));
 static_assert(noexcept(some<Plant>().advance_blocked(some<const Grid>())));
 static_assert(noexcept(some<Plant>().restart(0.0, some<const Grid>())));
