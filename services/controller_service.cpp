@@ -10,6 +10,7 @@
 #include "services/runtime/announcer.hpp"
 #include "services/runtime/mailbox.hpp"
 #include "services/runtime/program.hpp"
+#include "services/runtime/realtime.hpp"
 
 namespace weakgrid {
 namespace {
@@ -20,6 +21,7 @@ class ControllerService {
       : controller_(controller_configuration(settings)),
         state_every_(
             std::max<std::uint64_t>(50'000'000 / std::uint64_t{settings.timing.period_us * 1000u}, 1)),
+        realtime_(settings),
         bus_(settings.unit.domain, settings.dds.interfaces, "weakgrid-controller"),
         announcer_(bus_, settings, "controller", constants_of(controller_.constants())),
         modulations_(bus_, settings.unit.number),
@@ -29,6 +31,7 @@ class ControllerService {
                             [this](const Measurement& m, WriterId w) { answer(m, w); }) {}
 
   void serve(StopSignal& stop) {
+    realtime_.loop_runs();
     while (!stop.wait(std::chrono::milliseconds(5))) announcer_.say(health());
     announcer_.say(health());
     spdlog::info("stopped at step {}", step_.load());
@@ -123,6 +126,7 @@ class ControllerService {
   std::uint32_t fallen_back_ = 0;  // the reference whose fallback was followed at the last sample, 0 = none
   std::string logged_;
 
+  RealtimeSetup realtime_;  // the bus inherits it
   Bus bus_;
   Announcer announcer_;
   Writer<Modulation> modulations_;

@@ -74,14 +74,21 @@ class TableReader {
     if (second < first) wrong(*node, key, fmt::format("{} is above {}; {}", first, second, allowed));
     value = Interval{first, second};
   }
-  void count(const char* key, std::uint32_t& value, std::int64_t low, std::int64_t high) {
+  template <class Integer>
+  void count(const char* key, Integer& value, std::int64_t low, std::int64_t high) {
     const toml::node* node = find(key);
     if (!node) return;
     const auto allowed = fmt::format("allowed: a whole number from {} to {}", low, high);
     if (!node->is_integer()) wrong(*node, key, allowed);
     const std::int64_t read = node->as_integer()->get();
     if (read < low || read > high) wrong(*node, key, fmt::format("{} is out of range; {}", read, allowed));
-    value = static_cast<std::uint32_t>(read);
+    value = static_cast<Integer>(read);
+  }
+  void flag(const char* key, bool& value) {
+    const toml::node* node = find(key);
+    if (!node) return;
+    if (!node->is_boolean()) wrong(*node, key, "allowed: true, false");
+    value = node->as_boolean()->get();
   }
   template <class Value, std::size_t n>
   void word(const char* key, Value& value, const Choice<Value> (&choices)[n]) {
@@ -192,9 +199,10 @@ class TableWriter {
     line(key, value->low == value->high ? real(value->low)
                                         : fmt::format("[{}, {}]", real(value->low), real(value->high)));
   }
-  void count(const char* key, std::uint32_t value, std::int64_t, std::int64_t) {
+  void count(const char* key, std::int64_t value, std::int64_t, std::int64_t) {
     line(key, fmt::format("{}", value));
   }
+  void flag(const char* key, bool value) { line(key, value ? "true" : "false"); }
   template <class Value, std::size_t n>
   void word(const char* key, Value value, const Choice<Value> (&choices)[n]) {
     for (const auto& choice : choices)

@@ -45,6 +45,15 @@ struct Scenario {
   std::vector<TimedEvent> events;        // in the order of at_s
 };
 
+/// How a plant goes from step to step.
+enum class Pace : std::uint8_t {
+  lockstep,  ///< as its controller answers
+  realtime,  ///< on a grid of time, whoever answers
+};
+
+/// What becomes of a unit in real time whose plant misses steps: they are held, or it trips.
+enum class Overrun : std::uint8_t { hold, block };
+
 /// As written in the file; defaults here.
 struct Settings {
   struct {
@@ -74,6 +83,8 @@ struct Settings {
     double patience_s = 5.0;
     bool starts_running = true;
     double precharge_s = 0.1;
+    Pace pace = Pace::lockstep;
+    Overrun overrun = Overrun::hold;
   } plant;
   struct {
     double current_max = 2.0;
@@ -119,6 +130,13 @@ struct Settings {
   struct {
     std::vector<std::string> interfaces = {"127.0.0.1"};
   } dds;
+
+  struct {
+    std::uint32_t priority = 0;  // SCHED_FIFO; 0: as the process was started
+    std::int32_t cpu = -1;       // -1: any
+    bool lock_memory = false;
+    bool dma_latency = false;
+  } realtime;
 
   std::optional<Scenario> scenario;
 };

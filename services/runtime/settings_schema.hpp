@@ -18,13 +18,15 @@ inline constexpr Choice<Law> laws[] = {{"filtered", Law::filtered}, {"unfiltered
 inline constexpr Choice<bool> starts[] = {{"running", true}, {"off", false}};
 inline constexpr Choice<AfterRestart> after_restarts[] = {{"resume", AfterRestart::resume},
                                                           {"fallback", AfterRestart::fallback}};
+inline constexpr Choice<Pace> paces[] = {{"lockstep", Pace::lockstep}, {"realtime", Pace::realtime}};
+inline constexpr Choice<Overrun> overruns[] = {{"hold", Overrun::hold}, {"block", Overrun::block}};
 inline constexpr Choice<Quantity> quantities[] = {{"source_power", Quantity::source_power},
                                                   {"grid_resistance", Quantity::grid_resistance},
                                                   {"grid_reactance", Quantity::grid_inductance},
                                                   {"grid_voltage", Quantity::grid_voltage}};
 
-/// File has: section(name, fn), list(name, items, fn), number / count / word / words / optional / text /
-/// numbers.
+/// File has: section(name, fn), list(name, items, fn), number / count / flag / word / optional / text /
+/// texts / numbers.
 template <class File, class SettingsOrConst>
 void visit(File& file, SettingsOrConst& s) {
   file.section("unit", [&](auto& f) {
@@ -53,6 +55,8 @@ void visit(File& file, SettingsOrConst& s) {
     f.number("patience_s", s.plant.patience_s, 0.001, 3600.0);
     f.word("start", s.plant.starts_running, starts);
     f.number("precharge_s", s.plant.precharge_s, 0.001, 60.0);
+    f.word("pace", s.plant.pace, paces);
+    f.word("overrun", s.plant.overrun, overruns);
   });
   file.section("protection", [&](auto& f) {
     f.number("current_max", s.protection.current_max, 0.1, 50.0);
@@ -98,6 +102,12 @@ void visit(File& file, SettingsOrConst& s) {
     f.text("journal", s.gateway.journal);
   });
   file.section("dds", [&](auto& f) { f.texts("interfaces", s.dds.interfaces, 1, 16); });
+  file.section("realtime", [&](auto& f) {
+    f.count("priority", s.realtime.priority, 0, 99);
+    f.count("cpu", s.realtime.cpu, -1, 1023);
+    f.flag("lock_memory", s.realtime.lock_memory);
+    f.flag("dma_latency", s.realtime.dma_latency);
+  });
   file.optional_section("scenario", s.scenario, [](auto& f, auto& scenario) {
     f.text("title", scenario.title);
     f.required("end_s", scenario.end_s, 1e-3, 1e6);

@@ -53,9 +53,11 @@ class Walk {
   void interval(const char* key, std::optional<Interval>& value, double low, double high) {
     change_.interval(full(key), value, low, high);
   }
-  void count(const char* key, std::uint32_t& value, std::int64_t low, std::int64_t high) {
+  template <class Integer>
+  void count(const char* key, Integer& value, std::int64_t low, std::int64_t high) {
     change_.count(full(key), value, low, high);
   }
+  void flag(const char* key, bool& value) { change_.flag(full(key), value); }
   template <class Value, std::size_t n>
   void word(const char* key, Value& value, const Choice<Value> (&choices)[n]) {
     change_.word(full(key), value, choices);
@@ -103,9 +105,11 @@ class Randomly {
     number(key, value->high, low, high);
     if (value->high < value->low || generator_() % 2 == 0) value->high = value->low;
   }
-  void count(const std::string&, std::uint32_t& value, std::int64_t low, std::int64_t high) {
-    value = static_cast<std::uint32_t>(std::uniform_int_distribution(low, high)(generator_));
+  template <class Integer>
+  void count(const std::string&, Integer& value, std::int64_t low, std::int64_t high) {
+    value = static_cast<Integer>(std::uniform_int_distribution(low, high)(generator_));
   }
+  void flag(const std::string&, bool& value) { value = generator_() % 2 == 0; }
   template <class Value, std::size_t n>
   void word(const std::string&, Value& value, const Choice<Value> (&choices)[n]) {
     value = choices[generator_() % n].value;
@@ -158,9 +162,10 @@ class Printed {
   void interval(const std::string& key, std::optional<Interval>& value, double, double) {
     line(key, value ? fmt::format("{:a} {:a}", value->low, value->high) : "none");
   }
-  void count(const std::string& key, std::uint32_t& value, std::int64_t, std::int64_t) {
+  void count(const std::string& key, std::int64_t value, std::int64_t, std::int64_t) {
     line(key, fmt::format("{}", value));
   }
+  void flag(const std::string& key, bool value) { line(key, value ? "true" : "false"); }
   template <class Value, std::size_t n>
   void word(const std::string& key, Value& value, const Choice<Value> (&)[n]) {
     line(key, fmt::format("{}", static_cast<int>(value)));
@@ -238,8 +243,12 @@ class OneByOne {
   void interval(const std::string& key, std::optional<Interval>& value, double low, double) {
     if (is_it(key)) value = Interval{low + 0.456, low + 0.5};
   }
-  void count(const std::string& key, std::uint32_t& value, std::int64_t, std::int64_t high) {
+  template <class Integer>
+  void count(const std::string& key, Integer& value, std::int64_t, std::int64_t high) {
     if (is_it(key)) value = value < high ? value + 1 : value - 1;
+  }
+  void flag(const std::string& key, bool& value) {
+    if (is_it(key)) value = !value;
   }
   template <class Value, std::size_t n>
   void word(const std::string& key, Value& value, const Choice<Value> (&choices)[n]) {
@@ -299,11 +308,13 @@ std::string derived(const Settings& s) {
 }
 
 TEST(Settings, EveryKeyHasAnEffect) {
-  // Read by the services themselves: who they are, where they meet, how long the plant waits, what a run is
-  // called.
-  const std::set<std::string> read_elsewhere{"unit.number",          "unit.domain",    "plant.patience_s",
-                                             "dds.interfaces",       "scenario.title", "gateway.journal",
-                                             "gateway.after_restart"};
+  // Read by the services themselves: who they are, where they meet, how the plant keeps time, what they ask
+  // of the machine, what a run is called.
+  const std::set<std::string> read_elsewhere{
+      "unit.number",          "unit.domain",       "plant.patience_s", "plant.pace",
+      "plant.overrun",        "realtime.priority", "realtime.cpu",     "realtime.lock_memory",
+      "realtime.dma_latency", "dds.interfaces",    "scenario.title",   "gateway.journal",
+      "gateway.after_restart"};
   Settings settings;
   settings.scenario.emplace();
   settings.scenario->end_s = 1.0;
