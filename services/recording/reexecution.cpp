@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <charconv>
 #include <nlohmann/json.hpp>
+#include <utility>
 
 #include "services/manifest_constants.hpp"
 #include "services/recording/recorder.hpp"
@@ -68,6 +69,7 @@ void Reexecution::see_as(const RecordedMessage& message) {
     }
     if constexpr (std::is_same_v<Message, Measurement>) {
       unit.inputs.see(message.writer->guid, content);
+      note_holds(unit, content);
       last_steps_[message.writer->index] = content.step;
       for (auto& [index, replica] : unit.controllers) replica->note_sample();
     } else if constexpr (std::is_same_v<Message, Request>) {
@@ -253,12 +255,32 @@ GatewayReplica& Reexecution::gateway_of(Unit& unit, std::uint32_t number, const 
 // What a what-if needs to know of the loop. A reference that is heard later than it was used is looked up
 // then.
 void Reexecution::note_loop(Unit& unit, const Modulation& answer) {
+  if (answer.step > unit.loop.last_step + 1)
+    unit.loop.unanswered.push_back({unit.loop.last_step + 1, answer.step - 1});
   unit.loop.last_step = std::max(unit.loop.last_step, answer.step);
   if (answer.newest_reference_id == unit.newest_reference) return;
   unit.newest_reference = answer.newest_reference_id;
   Reference named;
   named.id = answer.newest_reference_id;
   unit.loop.accepted.emplace_back(answer.step, named);
+}
+
+// Whether an answer was used shows in the sample that follows it: the unit holds, or has tripped for one hold
+// too many. Steps between two samples were missed by the plant, and all held. Of a unit that has tripped it
+// is all the same.
+void Reexecution::note_holds(Unit& unit, const Measurement& sample) {
+  if (sample.step <= unit.newest_sample.step) return;
+  const Measurement before = std::exchange(unit.newest_sample, sample);
+  const bool has_missed = sample.step > before.step + 1;
+  const bool was_held =
+      sample.state == UnitState::holding ||
+      (sample.state == UnitState::tripped && (before.state != UnitState::running || has_missed));
+  if (!was_held) return;
+  auto& held = unit.loop.held;
+  if (!held.empty() && held.back().last + 1 == before.step)
+    held.back().last = sample.step - 1;
+  else
+    held.push_back({before.step, sample.step - 1});
 }
 
 void Reexecution::finish() {

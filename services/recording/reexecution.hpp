@@ -59,9 +59,11 @@ class Reexecution {
     std::uint64_t first_step = 0;
     std::string first_type;
     RecordedLoop loop;
+    Measurement newest_sample;
     std::uint32_t newest_reference = 0;  // that the controller knew
   };
   void note_loop(Unit& unit, const Modulation& answer);
+  void note_holds(Unit& unit, const Measurement& sample);
 
   void see(const RecordedMessage& message);
   template <class Message>

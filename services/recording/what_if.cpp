@@ -49,6 +49,16 @@ std::string why_not(const RecordedLoop& loop) {
   return {};
 }
 
+namespace {
+
+bool is_in(const std::vector<StepRange>& ranges, std::uint64_t step) {
+  const auto at = std::upper_bound(ranges.begin(), ranges.end(), step,
+                                   [](std::uint64_t k, const StepRange& r) { return k < r.first; });
+  return at != ranges.begin() && step <= std::prev(at)->last;
+}
+
+}  // namespace
+
 LoopOutcome emulate(const RecordedLoop& loop, const ControllerConfiguration& configuration) {
   const std::vector<Event> timeline = events(*loop.plant);
   Emulator emulator(emulator_configuration(*loop.plant), timeline);
@@ -60,10 +70,15 @@ LoopOutcome emulate(const RecordedLoop& loop, const ControllerConfiguration& con
       emulator.accept(next->second);
       controller.accept(next->second);
     }
+    const bool is_held = is_in(loop.held, k);
+    if (is_held && is_in(loop.unanswered, k)) {
+      emulator.advance(std::nullopt);
+      continue;
+    }
     const Measurement sample = emulator.sample();
     const Modulation answer = controller.step(sample);
     gauge.see(sample, answer, controller.state().references, configuration.converter.omega);
-    emulator.advance(command(answer));
+    emulator.advance(is_held ? std::nullopt : command(answer));
   }
   return gauge.outcome();
 }

@@ -33,18 +33,27 @@ class OutcomeGauge {
   std::vector<std::pair<double, double>> last_;  // errors of q and v_c, a ring over one grid period
 };
 
+/// Steps, both included.
+struct StepRange {
+  std::uint64_t first = 0, last = 0;
+};
+
 /// What a recording tells of one unit's loop.
 struct RecordedLoop {
   std::optional<Settings> plant;  ///< of the plant's manifest
   std::size_t plants = 0;         ///< processes that served as its plant
   std::uint64_t first_step = 0, last_step = 0;
   std::vector<std::pair<std::uint64_t, Reference>> accepted;  ///< from which step on the controller knew it
+  /// In the order of steps: that the plant held, whether or not an answer came late, and that no answer is
+  /// recorded of.
+  std::vector<StepRange> held, unanswered;
 };
 
 /// Why that loop cannot be emulated once more; empty if it can.
 std::string why_not(const RecordedLoop& loop);
-/// The recorded plant, grid events and references with another controller. The same bits as recorded if that
-/// is the recorded one and no sample was lost.
+/// The recorded plant, grid events, references and holds with another controller, which is shown what that
+/// one was shown. The same bits as recorded if it is that one, no sample was lost, and the plant has not
+/// blocked for a step that it missed itself.
 LoopOutcome emulate(const RecordedLoop& loop, const ControllerConfiguration& controller);
 
 }  // namespace weakgrid

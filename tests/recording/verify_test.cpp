@@ -3,6 +3,7 @@
 #include <signal.h>
 
 #include <nlohmann/json.hpp>
+#include <thread>
 
 #include "services/recording/recorder.hpp"
 #include "services/recording/reexecution.hpp"
@@ -133,6 +134,52 @@ TEST(Verify, ARunReexecutesToTheBit) {
 
 // A writer is heard some tenths of a second after it begins.
 void let_the_recorder_hear() { std::this_thread::sleep_for(test::milliseconds(700)); }
+// The plant goes on without the answers of a controller that stands still, and misses steps itself.
+TEST(Verify, ARunInRealTimeReexecutesToTheBitWithItsHolds) {
+  const test::Domain domain;
+  const Folder folder;
+  const test::TextFile settings(
+      "[timing]\nperiod_us = 500\n[grid]\nreactance = 0.1\n[plant]\npace = \"realtime\"\n"
+      "[protection]\nholds_max = 100000\ncurrent_max = 50.0\ndc_voltage_min = 0.05\ndc_voltage_max = 10.0\n"
+      "pcc_voltage_steps = 100000\n"
+      "[controller]\nsettling_times_s = [0.005, 0.0055, 0.2]\nnotch_settling_time_s = 0.25\n"
+      "[gateway]\ndecay_min_per_s = 0.0\nramp_s = 0.2\n");
+  test::Program recorder("weakgrid-recorder", {"--domain", domain.text(), "--output", folder / "a.mcap",
+                                               "--await", "weakgrid/measurement", "--await",
+                                               "weakgrid/modulation", "--await", "weakgrid/reference"});
+  test::Program plant("weakgrid-plant",
+                      {"--settings", settings.path(), "--domain", domain.text(), "--until", "0"});
+  test::Services others(domain, settings.path());
+  test::Program& controller = others.start("controller");
+  others.start("gateway");
+  test::Bystander bystander(domain);
+  ASSERT_TRUE(test::wait_until([&] { return bystander.is("recorder", ServiceState::running); }));
+  ASSERT_TRUE(bystander.client().operate(OperationKind::advance, 100'000, test::long_enough));
+  ASSERT_TRUE(bystander.runs(test::long_enough, 50));
+  ASSERT_TRUE(bystander.order(0.1, 0.05));
+  ASSERT_TRUE(bystander.goes_on());
+  for (test::Program* program : {&controller, &plant})
+    for (const int held_ms : {5, 12, 60}) {
+      program->send(SIGSTOP);
+      std::this_thread::sleep_for(test::milliseconds(held_ms));
+      program->send(SIGCONT);
+      ASSERT_TRUE(bystander.goes_on());
+    }
+  ASSERT_TRUE(test::wait_until([&] {
+    return bystander.count("plant", "holds") >= 100 && bystander.count("plant", "missed_steps") >= 50;
+  })) << bystander.words();
+  recorder.send(SIGTERM);
+  ASSERT_EQ(recorder.wait(), 0) << recorder.err();
+
+  const test::Ended verify =
+      test::run("weakgrid", {"verify", folder / "a.mcap", "--settings", settings.path(), "--json"});
+  EXPECT_EQ(verify.status, 0) << verify.out << verify.err;
+  const json report = json::parse(verify.out, nullptr, false);
+  EXPECT_EQ(report["identical"], true);
+  EXPECT_EQ(report["unchecked"], 0) << report.dump(2);
+  const json& fared = report["what_if"][0];
+  EXPECT_EQ(fared["recorded"], fared["other"]) << "emulated once more, it holds where the plant has held";
+}
 
 TEST(Verify, RestartsOfEveryServiceATripAndAResetReexecuteToTheBit) {
   const test::Domain domain;
