@@ -103,14 +103,21 @@ int ask(Client& client, const Settings& settings, const Asking& asking, Request 
   renewal.kind = RequestKind::renew;
   renewal.who = request.who;
   renewal.lease_s = asking.lease_s != 0.0 ? asking.lease_s : settings.gateway.lease_s;
-  // A third of the lease: two renewals may be lost. Who is overruled asks at once, and is told by whom.
-  const auto every = std::chrono::duration<double>(renewal.lease_s / 3.0);
+  // A third of the lease: two renewals may be lost. A unit in lockstep may live faster than the clock: its pace
+  // shows from one decision to the next. Who is overruled asks at once, and is told by whom.
+  constexpr std::chrono::duration<double> soon(0.05);
+  std::chrono::duration<double> every = soon;
   auto renewed = std::chrono::steady_clock::now();
-  while (!stop.wait(Patience(50))) {
+  while (!stop.wait(Patience(20))) {
     const auto now = std::chrono::steady_clock::now();
-    if (now - renewed < every && !is_held_by_another(client, request.who)) continue;
-    renewed = now;
+    const std::chrono::duration<double> passed = now - renewed;
+    if (passed < every && !is_held_by_another(client, request.who)) continue;
+    const std::uint64_t before = answer.decision.decided_step;
     answer = answered(client, settings, asking, renewal);
+    const double steps = static_cast<double>(answer.decision.decided_step - before);
+    const double pace = std::max(1.0, steps * period_s(timing(settings)) / passed.count());
+    every = std::max(soon, std::chrono::duration<double>(renewal.lease_s / (3.0 * pace)));
+    renewed = now;
     if (answer.decision.verdict == Verdict::accepted) continue;
     print(answer, asking, timing(settings));
     return exit_no;

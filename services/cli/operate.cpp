@@ -14,6 +14,7 @@ namespace {
 struct Operating {
   Asking asking;
   std::optional<std::uint64_t> until;
+  bool direct = false;
   CLI::App *start = nullptr, *stop = nullptr, *reset = nullptr;
 };
 
@@ -30,12 +31,21 @@ void wait_for(const Client& client, RequestKind kind) {
     throw std::runtime_error(fmt::format("the plant does not follow: it is {}", state));
 }
 
-// Not an order but a matter of emulated time, between client and plant.
-int advance(Client& client, const Settings& settings, std::optional<std::uint64_t> until) {
-  if (!client.operate(OperationKind::advance, until.value_or(std::numeric_limits<std::uint64_t>::max()),
-                      Patience(5000)))
+void send(Client& client, const Settings& settings, OperationKind kind, std::uint64_t until = 0) {
+  if (!client.operate(kind, until, Patience(5000)))
     throw std::runtime_error(fmt::format("no plant of unit {} in domain {}; is weakgrid-plant running?",
                                          settings.unit.number, settings.unit.domain));
+}
+
+OperationKind operation(RequestKind kind) {
+  return kind == RequestKind::start  ? OperationKind::start
+         : kind == RequestKind::stop ? OperationKind::stop
+                                     : OperationKind::reset_trip;
+}
+
+// Not an order but a matter of emulated time, between client and plant.
+int advance(Client& client, const Settings& settings, std::optional<std::uint64_t> until) {
+  send(client, settings, OperationKind::advance, until.value_or(std::numeric_limits<std::uint64_t>::max()));
   if (!client.wait_for("plant", Patience(5000),
                        [&](const Health& h) { return h.state != ServiceState::waiting || h.step >= until; }))
     throw std::runtime_error("the plant does not follow");
@@ -57,7 +67,10 @@ Command add_operate(CLI::App& app) {
   CLI::App* advance_verb = command->add_subcommand("advance", "Lets an emulated unit that waits go on.");
   advance_verb->add_option("--until", options->until, "wait again at this step; default: go on for ever");
   add_where(*advance_verb, options->asking.where);
-  for (CLI::App* verb : {options->start, options->stop, options->reset}) add_asking(*verb, options->asking);
+  for (CLI::App* verb : {options->start, options->stop, options->reset}) {
+    add_asking(*verb, options->asking);
+    verb->add_flag("--direct", options->direct, "straight to the plant, past the gateway and its interlocks");
+  }
   command->footer(
       "Example: weakgrid operate reset --unit 1\n"
       "Exit: 0 done, 1 rejected, 2 bad usage, 3 nobody answers or follows.");
@@ -73,6 +86,11 @@ Command add_operate(CLI::App& app) {
       request.kind = RequestKind::reset;
     else
       return advance(client, settings, options->until);
+    if (options->direct) {
+      send(client, settings, operation(request.kind));
+      wait_for(client, request.kind);
+      return exit_done;
+    }
     const int answer = ask(client, settings, options->asking, request);
     if (answer == exit_done) wait_for(client, request.kind);
     return answer;

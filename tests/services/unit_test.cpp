@@ -82,5 +82,18 @@ TEST(Unit, ThatStartsOffIsStartedAndStoppedThroughTheGateway) {
   EXPECT_TRUE(bystander.settles_at(0.0, 0.0)) << "nothing of what was ordered before stands";
 }
 
+TEST(Unit, IsStoppedWithoutAGatewayToo) {
+  const test::Domain domain;
+  const test::TextFile settings("[grid]\nreactance = 0.3\n");
+  test::Services services(domain, settings.path());
+  services.start("plant");
+  services.start("controller");
+  test::Bystander bystander(domain);
+  ASSERT_TRUE(test::wait_until([&] { return bystander.measurement() && bystander.modulation(); }));
+  const test::Ended stop = test::run("weakgrid", {"operate", "stop", "--direct", "--domain", domain.text()});
+  EXPECT_EQ(stop.status, 0) << stop.err;
+  EXPECT_TRUE(test::wait_until([&] { return bystander.measurement()->state == UnitState::off; }));
+}
+
 }  // namespace
 }  // namespace weakgrid
