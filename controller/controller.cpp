@@ -153,7 +153,7 @@ SpaceVector Controller::law(const Point& x, const Errors& errors, double dp_r, d
   return (x.v_p_hat + c.L * across_L) / x.v_c;  // eq:mu_est
 }
 
-SpaceVector Controller::evaluate(const Measurement& m, SpaceVector v_p, SpaceVector i) noexcept {
+SpaceVector Controller::evaluate(const Measurement& m, SpaceVector v_p, SpaceVector i, bool held) noexcept {
   const bool filtered = configuration_.law == Law::filtered;
   const std::uint64_t k = m.step;
   Point now;
@@ -162,7 +162,12 @@ SpaceVector Controller::evaluate(const Measurement& m, SpaceVector v_p, SpaceVec
   now.v_c = m.v_c;
   now.p_r = state_.p_r;
   now.reference = shaper_.at(k);
-  const Errors errors = integrate({state_.e1, state_.y, state_.q_error, state_.eta_error}, now);
+  Errors errors = integrate({state_.e1, state_.y, state_.q_error, state_.eta_error}, now);
+  if (held) {
+    errors.y = state_.y;
+    errors.eta_error = state_.eta_error;
+    errors.e1.im = state_.eta_error;
+  }
   const ShapedReference next = shaper_.at(k + 1);
 
   SpaceVector mu;
@@ -244,7 +249,12 @@ Modulation Controller::step(const Measurement& m) noexcept {
   const bool was_blocked = !started_ && (last_.status & started) != 0 && m.step - last_.step <= max_gap;
   if (!m.blocked) shaper_.advance_to(m.step, starting && !was_blocked);
 
-  const SpaceVector command = evaluate(m, v_p, i) / constants_.held;
+  // The last answer was not used: what is in force is the one before, and what nobody acts on winds up
+  // nothing.
+  const bool held = m.state == UnitState::holding && !starting;
+  if (held && configuration_.timing.delay == 1) state_.mu = state_.mu_before;
+
+  const SpaceVector command = evaluate(m, v_p, i, held) / constants_.held;
   const double magnitude2 = abs2(command);
   const double mu_max = configuration_.converter.mu_max;
   out.mu = command;

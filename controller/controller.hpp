@@ -115,7 +115,7 @@ class Controller {
   Point predict(const Point& x, SpaceVector v_p, double p_i, const ShapedReference& next) const noexcept;
   SpaceVector law(const Point& x, const Errors& errors, double dp_r, double dq_r) const noexcept;
   void note_reference(Modulation& out) const noexcept;
-  SpaceVector evaluate(const Measurement& m, SpaceVector v_p, SpaceVector i) noexcept;
+  SpaceVector evaluate(const Measurement& m, SpaceVector v_p, SpaceVector i, bool held) noexcept;
 
   ControllerConfiguration configuration_;
   ControllerConstants constants_;
