@@ -103,8 +103,8 @@ int ask(Client& client, const Settings& settings, const Asking& asking, Request 
   renewal.kind = RequestKind::renew;
   renewal.who = request.who;
   renewal.lease_s = asking.lease_s != 0.0 ? asking.lease_s : settings.gateway.lease_s;
-  // A third of the lease: two renewals may be lost. A unit in lockstep may live faster than the clock: its pace
-  // shows from one decision to the next. Who is overruled asks at once, and is told by whom.
+  // A third of the lease: two renewals may be lost. A unit in lockstep may live faster than the clock: its
+  // pace shows from one decision to the next. Who is overruled asks at once, and is told by whom.
   constexpr std::chrono::duration<double> soon(0.05);
   std::chrono::duration<double> every = soon;
   auto renewed = std::chrono::steady_clock::now();

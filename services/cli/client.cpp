@@ -1,6 +1,9 @@
 // Client: see the header.
 #include "services/cli/client.hpp"
 
+#include <algorithm>
+#include <thread>
+
 namespace weakgrid {
 
 Client::Client(std::uint32_t domain, std::uint32_t unit, const std::vector<std::string>& interfaces)
@@ -35,8 +38,26 @@ Client::Client(std::uint32_t domain, std::uint32_t unit, const std::vector<std::
 
 Client::~Client() {
   constexpr Patience moment{300};
+  if (last_id_ > 0) wait_for_recorders();
   requests_.wait_until_taken(moment);
   operations_.wait_until_taken(moment);
+}
+
+// Discovery takes a tenth of a second or so; a command may be done sooner, and nobody would know what was
+// asked.
+void Client::wait_for_recorders() const {
+  const auto recorders = [](const Peers& peers) {
+    return std::count_if(peers.begin(), peers.end(), [](const auto& peer) {
+      return peer.first.first == "recorder" && peer.second.state != ServiceState::stopped;
+    });
+  };
+  const auto known =
+      std::chrono::duration_cast<Patience>(born_ + Patience(400) - std::chrono::steady_clock::now());
+  if (!wait_for(known, [&](const Peers& peers) { return recorders(peers) > 0; })) return;
+  const auto deadline = std::chrono::steady_clock::now() + Patience(300);
+  // Beside them the gateway listens.
+  while (requests_.matched() < 1 + recorders(peers()) && std::chrono::steady_clock::now() < deadline)
+    std::this_thread::sleep_for(Patience(5));
 }
 
 Client::Peers Client::peers() const {

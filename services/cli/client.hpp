@@ -42,7 +42,10 @@ class Client {
   bool operate(OperationKind kind, std::uint64_t until_step, Patience patience);
 
  private:
+  void wait_for_recorders() const;
+
   const std::uint64_t identity_;
+  const std::chrono::steady_clock::time_point born_ = std::chrono::steady_clock::now();
   std::uint32_t last_id_ = 0;
   mutable std::mutex mutex_;
   mutable std::condition_variable news_;

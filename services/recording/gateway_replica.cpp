@@ -39,6 +39,8 @@ void GatewayReplica::process(const UnitInputs& inputs, const Requests& requests,
   strays_ = &strays;
   differences_ = &differences;
   is_late_ = decisions_.empty() || decisions_.begin()->first != 1;
+  for (const auto& [sequence, taken] : decisions_)
+    answered_.emplace(taken.message.decision.client, taken.message.decision.id);
   std::uint64_t last_step = 0;
   for (const auto& [sequence, taken] : decisions_) {
     last_step = taken.message.decision.decided_step;
@@ -97,9 +99,10 @@ const Request* GatewayReplica::request_of(const Decision& recorded) {
     if (fingerprint(request->second) == recorded.request_fingerprint) return &request->second;
     other = &request->second;
   }
-  // One that differs in nothing but its name is the one.
+  // One that differs in nothing but its name is the one, unless it has been answered under its own.
   for (auto stray = strays_->requests.begin(); other == nullptr && stray != strays_->requests.end();
        ++stray) {
+    if (answered_.count(stray->first) != 0) continue;
     Request named = stray->second;
     named.client = recorded.client;
     if (fingerprint(named) == recorded.request_fingerprint) other = &stray->second;

@@ -74,6 +74,7 @@ class GatewayReplica {
   std::size_t plants_then_ = 0;
   std::map<std::uint32_t, Reference> references_;  // as recorded
   std::set<std::pair<std::uint64_t, std::uint32_t>> decided_;
+  std::set<std::pair<std::uint64_t, std::uint32_t>> answered_;  // by any recorded decision
   std::set<std::uint64_t> clients_;
   std::uint32_t newest_ = 0;  // reference known to the arbiter
   bool is_late_ = false;      // its first decision is not recorded

@@ -312,6 +312,34 @@ TEST(Verify, AuthorityOffersLeasesAChangedGridAndARememberingGatewayReexecuteToT
   EXPECT_GE(decisions, 12u) << words(findings);
 }
 
+// Discovery is a race that a command may lose; what it asked is then stated as missing, and never taken for
+// another's.
+TEST(Verify, WhatCommandsThatLiveForAMomentAskIsInTheRecordingButForAFew) {
+  const test::Domain domain;
+  const Folder folder;
+  const test::TextFile settings("[grid]\nreactance = 0.3\n");
+  test::Program recorder("weakgrid-recorder", {"--domain", domain.text(), "--output", folder / "a.mcap"});
+  test::Services services(domain, settings.path());
+  services.start_all();
+  test::Bystander bystander(domain);
+  ASSERT_TRUE(bystander.runs());
+  ASSERT_TRUE(test::wait_until([&] { return bystander.is("recorder", ServiceState::running); }));
+  let_the_recorder_hear();
+  constexpr int commands = 6;
+  for (int n = 0; n < commands; ++n) {
+    const test::Ended set =
+        test::run("weakgrid", {"set", "--p", "0.2", "--q", std::to_string(0.01 * (n % 2)), "--domain",
+                               domain.text(), "--name", "ann", "--timeout", "60"});
+    ASSERT_EQ(set.status, 0) << set.out << set.err;
+  }
+  recorder.send(SIGTERM);
+  ASSERT_EQ(recorder.wait(), 0) << recorder.err();
+  const ReexecutionFindings findings = reexecute({folder / "a.mcap"});
+  ASSERT_EQ(findings.gateways.size(), 1u);
+  EXPECT_EQ(findings.differences.count(), 0u) << words(findings);
+  EXPECT_GE(findings.gateways[0].decisions_identical, commands / 2) << words(findings);
+}
+
 /// A plant that loses samples on their way, as best effort may: it holds, and the controller sees a gap.
 TEST(Verify, SamplesThatTheControllerNeverGotReexecuteAsGaps) {
   const test::Domain domain;
