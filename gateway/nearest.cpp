@@ -82,6 +82,58 @@ std::optional<SpaceVector> nearest_on_line(const Search& search, SpaceVector wan
   return other && (!one || distance(*other, wanted) < distance(*one, wanted)) ? other : one;
 }
 
+// Downhill from an admissible point by ever smaller steps: into a tip that rays pass by.
+SpaceVector downhill(const Search& search, SpaceVector wanted, SpaceVector best) noexcept {
+  constexpr int directions = 33, moves_max = 400;
+  const SpaceVector part = unit_phasor(pi / (directions - 1));
+  double h = 0.02 * distance(best, wanted);
+  for (int moves = 0; moves < moves_max && h > 1e-9;) {
+    const double d = distance(best, wanted);
+    if (!(d > 0.0)) break;
+    SpaceVector along = times_j((1.0 / d) * (wanted - best));  // from a right angle on one side to the other
+    bool moved = false;
+    for (int k = 0; k < directions && !moved; ++k, along = conj(part) * along) {
+      const SpaceVector here = best + h * along;
+      if (distance(here, wanted) < d && search.admits(here)) {
+        best = here;
+        moved = true;
+      }
+    }
+    if (moved)
+      ++moves;
+    else
+      h *= 0.5;
+  }
+  return best;
+}
+
+// Some admissible point of an area so small that rays pass by: uphill in slack, from the middle and around.
+std::optional<SpaceVector> uphill(const Search& search, double reach) noexcept {
+  constexpr int directions = 8, moves_max = 400;
+  const SpaceVector part = unit_phasor(2.0 * pi / directions);
+  SpaceVector start_along{1.0, 0.0};
+  for (int start = 0; start <= directions; ++start, start_along = part * start_along) {
+    SpaceVector here = start == 0 ? SpaceVector{} : (0.5 * reach) * start_along;
+    double slack_here = search.slack_at(here);
+    double h = 0.25 * reach;
+    for (int moves = 0; moves < moves_max && h > 1e-7 * reach; ++moves) {
+      if (slack_here >= 0.0) return here;
+      bool moved = false;
+      SpaceVector along{1.0, 0.0};
+      for (int k = 0; k < directions; ++k, along = part * along) {
+        const SpaceVector there = here + h * along;
+        const double slack_there = search.slack_at(there);
+        if (!(slack_there > slack_here)) continue;
+        here = there;
+        slack_here = slack_there;
+        moved = true;
+      }
+      if (!moved) h *= 0.5;
+    }
+  }
+  return std::nullopt;
+}
+
 // Distance over the direction: coarsely all around, then by golden section about each of the best minima.
 std::optional<SpaceVector> nearest_around(const Search& search, SpaceVector wanted, double reach) noexcept {
   constexpr int directions = 64, minima = 4;
@@ -125,6 +177,8 @@ std::optional<SpaceVector> nearest_around(const Search& search, SpaceVector want
       }
     }
   }
+  if (!best) best = uphill(search, reach);
+  if (best) best = downhill(search, wanted, *best);
   return best;
 }
 
