@@ -132,7 +132,8 @@ std::string interlock_text(const Decision& d) {
   const UnitState from = d.kind == RequestKind::start ? UnitState::off : UnitState::tripped;
   if (d.unit_state != from)
     return fmt::format("the unit is {}, {} needs {}", name(d.unit_state), name(d.kind), name(from));
-  return "idle itself may not stand on every grid that may be";
+  return "idle may not stand on every grid known: tell a narrower one (weakgrid grid) or lower "
+         "decay_min_per_s";
 }
 
 }  // namespace
@@ -143,7 +144,11 @@ std::string describe(const Decision& d, const Timing& timing) {
   const auto add = std::back_inserter(text);
   if (d.verdict == Verdict::bad_request || d.verdict == Verdict::stale_request)
     fmt::format_to(add, ": {}; allowed: {}", name(d.field), allowed(d.field));
-  if (d.verdict == Verdict::unit_blocked) fmt::format_to(add, ": it is {}", name(d.unit_state));
+  if (d.verdict == Verdict::unit_blocked)
+    fmt::format_to(add, ": it is {}{}", name(d.unit_state),
+                   d.unit_state == UnitState::tripped ? ": weakgrid operate reset"
+                   : d.unit_state == UnitState::off   ? ": weakgrid operate start"
+                                                      : "");
   if (d.verdict == Verdict::interlocked) fmt::format_to(add, ": {}", interlock_text(d));
   if (d.verdict == Verdict::not_authorised)
     fmt::format_to(add, ": {} holds authority until step {}", text_of(d.holder), d.held_until_step);

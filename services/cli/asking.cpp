@@ -114,7 +114,7 @@ int ask(Client& client, const Settings& settings, const Asking& asking, Request 
     if (passed < every && !is_held_by_another(client, request.who)) continue;
     const std::uint64_t before = answer.decision.decided_step;
     answer = answered(client, settings, asking, renewal);
-    const double steps = static_cast<double>(answer.decision.decided_step - before);
+    const double steps = static_cast<double>(std::max(answer.decision.decided_step, before) - before);
     const double pace = std::max(1.0, steps * period_s(timing(settings)) / passed.count());
     every = std::max(soon, std::chrono::duration<double>(renewal.lease_s / (3.0 * pace)));
     renewed = now;

@@ -28,7 +28,8 @@ void wait_for(const Client& client, RequestKind kind) {
     return kind == RequestKind::stop ? is == UnitState::off : is != UnitState::tripped;
   };
   if (!client.wait_for("plant", Patience(5000), done))
-    throw std::runtime_error(fmt::format("the plant does not follow: it is {}", state));
+    throw std::runtime_error(
+        fmt::format("the plant does not follow, it is {}: weakgrid status tells who is there", state));
 }
 
 void send(Client& client, const Settings& settings, OperationKind kind, std::uint64_t until = 0) {
@@ -48,7 +49,7 @@ int advance(Client& client, const Settings& settings, std::optional<std::uint64_
   send(client, settings, OperationKind::advance, until.value_or(std::numeric_limits<std::uint64_t>::max()));
   if (!client.wait_for("plant", Patience(5000),
                        [&](const Health& h) { return h.state != ServiceState::waiting || h.step >= until; }))
-    throw std::runtime_error("the plant does not follow");
+    throw std::runtime_error("the plant does not go on: weakgrid status tells who is there");
   return exit_done;
 }
 

@@ -31,7 +31,7 @@ Envelope envelope_of_gateway(const Client& client, StopSignal& stop) {
     if (const auto envelope = client.envelope()) return *envelope;
     if (stop.wait(Patience(50))) break;
   }
-  throw std::runtime_error("the gateway does not say what stands");
+  throw std::runtime_error("the gateway does not say what stands; is it of this version?");
 }
 
 }  // namespace
