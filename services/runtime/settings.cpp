@@ -10,6 +10,7 @@
 #include <sstream>
 
 #include "services/runtime/settings_schema.hpp"
+#include "services/runtime/settings_table.hpp"
 
 namespace weakgrid {
 
@@ -17,6 +18,8 @@ namespace {
 
 [[noreturn]] void fail(const std::string& file, const toml::source_region& where, const std::string& key,
                        const std::string& what) {
+  // What was put into a table stands on no line.
+  if (where.begin.line == 0) throw SettingsError(fmt::format("{}: {}: {}", file, key, what));
   throw SettingsError(fmt::format("{}:{}:{}: {}: {}", file, where.begin.line, where.begin.column, key, what));
 }
 
@@ -260,6 +263,10 @@ Settings parse_settings(const std::string& text, const std::string& name) {
   } catch (const toml::parse_error& error) {
     fail(name, error.source(), "not TOML", std::string(error.description()));
   }
+  return settings_of(table, name);
+}
+
+Settings settings_of(const toml::table& table, const std::string& name) {
   Settings settings;
   TableReader reader(name, table, "");
   visit(reader, settings);
