@@ -8,6 +8,7 @@
 #include <stdexcept>
 #include <system_error>
 
+#include "services/csv_text.hpp"
 #include "services/recording/idl_text.hpp"
 #include "services/runtime/wire_fields.hpp"
 
@@ -26,19 +27,6 @@ std::string file_name(const std::string& topic) {
     name += c == '/' || byte < 0x20 || byte == 0x7f ? '_' : c;
   }
   return name.empty() ? "_" : name;
-}
-
-void put_text(std::string& line, const std::string& text) {
-  if (text.find_first_of(",\"\r\n") == std::string::npos) {
-    line += text;
-    return;
-  }
-  line += '"';
-  for (const char c : text) {
-    if (c == '"') line += '"';
-    line += c;
-  }
-  line += '"';
 }
 
 // A text of IDL without what means nothing.
@@ -134,12 +122,12 @@ void CsvExport::write(Sink& sink, const std::string& writer, const mcap::Message
   ++sink.rows;
   std::string& line = sink.pending;
   fmt::format_to(std::back_inserter(line), "{},{},", message.log_time_ns, message.publish_time_ns);
-  put_text(line, writer);
+  put_csv_text(line, writer);
   fmt::format_to(std::back_inserter(line), ",{}", message.sequence);
   if (fields) {
     for (const WireField& field : *fields) {
       line += ',';
-      put_text(line, to_text(field.value));
+      put_csv_text(line, to_text(field.value));
     }
   } else {
     line += ',';
