@@ -73,8 +73,10 @@ RunRecord::Summary RunRecord::summary() const {
     for (const Sample& sample : samples_) quantity.settled += sample.*field;
     quantity.settled /= static_cast<double>(std::max<std::size_t>(samples_.size(), 1));
     const double scale = std::max(std::abs(closed_form), 0.1);
-    for (const Sample& sample : samples_)
+    for (const Sample& sample : samples_) {
       quantity.swing = std::max(quantity.swing, std::abs(sample.*field - quantity.settled) / scale);
+      quantity.deviation = std::max(quantity.deviation, std::abs(sample.*field - closed_form));
+    }
     quantity.difference = std::abs(quantity.settled - closed_form) / scale;
     quantity.agrees = quantity.difference <= summary.tolerance && quantity.swing <= 10.0 * summary.tolerance;
     all_agree = all_agree && quantity.agrees;

@@ -25,6 +25,7 @@ class RunRecord {
     double closed_form = 0.0;
     double difference = 0.0;  ///< relative; to 0.1 where the closed form is smaller
     double swing = 0.0;       ///< largest departure from the mean in that period, relative alike
+    double deviation = 0.0;   ///< largest departure from the closed form in that period, per unit
     bool agrees = false;
   };
   struct Summary {

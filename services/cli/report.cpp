@@ -3,17 +3,25 @@
 
 #include <fmt/format.h>
 
-#include <algorithm>
 #include <nlohmann/json.hpp>
 
 #include "services/decision_text.hpp"
 
 namespace weakgrid {
 
-bool Outcome::is_good() const {
-  return summary.settled && trip.empty() && holds == 0 &&
-         std::all_of(decisions.begin(), decisions.end(),
-                     [](const Decision& d) { return d.verdict == Verdict::accepted; });
+const char* name(Ending ending) {
+  constexpr const char* names[] = {"tripped",         "refused", "interrupted",
+                                   "no_steady_state", "settled", "not_settled"};
+  return names[static_cast<std::size_t>(ending)];
+}
+
+Ending Outcome::ending() const {
+  if (!trip.empty()) return Ending::tripped;
+  for (const Decision& decision : decisions)
+    if (decision.verdict != Verdict::accepted) return Ending::refused;
+  if (holds > 0) return Ending::interrupted;
+  if (!summary.has_steady_state) return Ending::no_steady_state;
+  return summary.settled ? Ending::settled : Ending::not_settled;
 }
 
 namespace {
@@ -23,16 +31,23 @@ double rate(const Settings& settings, const Outcome& outcome) {
 }
 
 std::string verdict(const Settings& settings, const Outcome& outcome) {
-  if (!outcome.trip.empty())
-    return fmt::format("LOST the operating point: {} at t = {:.4f} s (step {})", outcome.trip,
-                       static_cast<double>(outcome.trip_step) * period_s(timing(settings)),
-                       outcome.trip_step);
-  for (const Decision& decision : outcome.decisions)
-    if (decision.verdict != Verdict::accepted) return "REFUSED: a setpoint was not accepted";
-  if (outcome.holds > 0) return fmt::format("INTERRUPTED: {} steps without a modulation", outcome.holds);
-  if (!outcome.summary.has_steady_state)
-    return "LOST: the grid at the end has no steady state for this setpoint";
-  return outcome.summary.settled ? "SETTLED where the closed form says" : "NOT SETTLED";
+  switch (outcome.ending()) {
+    case Ending::tripped:
+      return fmt::format("LOST the operating point: {} at t = {:.4f} s (step {})", outcome.trip,
+                         static_cast<double>(outcome.trip_step) * period_s(timing(settings)),
+                         outcome.trip_step);
+    case Ending::refused:
+      return "REFUSED: a setpoint was not accepted";
+    case Ending::interrupted:
+      return fmt::format("INTERRUPTED: {} steps without a modulation", outcome.holds);
+    case Ending::no_steady_state:
+      return "LOST: the grid at the end has no steady state for this setpoint";
+    case Ending::settled:
+      return "SETTLED where the closed form says";
+    case Ending::not_settled:
+      break;
+  }
+  return "NOT SETTLED";
 }
 
 }  // namespace

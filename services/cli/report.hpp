@@ -10,6 +10,11 @@
 
 namespace weakgrid {
 
+/// How a scenario ended; the first that holds.
+enum class Ending : std::uint8_t { tripped, refused, interrupted, no_steady_state, settled, not_settled };
+/// As in CSV.
+const char* name(Ending ending);
+
 struct Outcome {
   std::vector<Decision> decisions;
   RunRecord::Summary summary;
@@ -20,9 +25,13 @@ struct Outcome {
   std::uint64_t holds = 0, resends = 0;
   bool over_dds = false;
 
+  Ending ending() const;
   /// Every setpoint accepted, settled, no hold.
-  bool is_good() const;
+  bool is_good() const { return ending() == Ending::settled; }
 };
+
+/// Plays the scenario in this process.
+Outcome simulated(const Settings& settings);
 
 void print_table(const Settings& settings, const Outcome& outcome);
 nlohmann::json to_json(const Settings& settings, const Outcome& outcome);

@@ -11,6 +11,24 @@
 
 namespace weakgrid {
 
+Outcome simulated(const Settings& settings) {
+  RunRecord record(settings);
+  const auto start = std::chrono::steady_clock::now();
+  const SimulationResult result = simulate(settings, [&](const Measurement& m, const Modulation& mu) {
+    record.see(m);
+    record.see(mu);
+  });
+  Outcome outcome;
+  outcome.wall_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+  for (const Decision& decision : result.decisions) record.see(decision);
+  outcome.decisions = result.decisions;
+  outcome.summary = record.summary();
+  outcome.digest = result.digest;
+  outcome.trip = result.trip == Trip::none ? "" : name(result.trip);
+  outcome.trip_step = result.trip_step;
+  return outcome;
+}
+
 Command add_simulate(CLI::App& app) {
   struct Options {
     std::string file;
@@ -25,20 +43,7 @@ Command add_simulate(CLI::App& app) {
       "Exit: 0 settled where the closed form says, 1 not, 2 bad usage or input.");
   return [options] {
     const Settings settings = load_scenario(options->file);
-    RunRecord record(settings);
-    const auto start = std::chrono::steady_clock::now();
-    const SimulationResult result = simulate(settings, [&](const Measurement& m, const Modulation& mu) {
-      record.see(m);
-      record.see(mu);
-    });
-    Outcome outcome;
-    outcome.wall_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
-    for (const Decision& decision : result.decisions) record.see(decision);
-    outcome.decisions = result.decisions;
-    outcome.summary = record.summary();
-    outcome.digest = result.digest;
-    outcome.trip = result.trip == Trip::none ? "" : name(result.trip);
-    outcome.trip_step = result.trip_step;
+    const Outcome outcome = simulated(settings);
     if (options->json)
       fmt::print("{}\n", to_json(settings, outcome).dump(2));
     else
