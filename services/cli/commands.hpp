@@ -15,6 +15,7 @@ using Command = std::function<int()>;
 
 Command add_run(CLI::App& app);
 Command add_simulate(CLI::App& app);
+Command add_sweep(CLI::App& app);
 Command add_set(CLI::App& app);
 Command add_accept(CLI::App& app);
 Command add_renew(CLI::App& app);
