@@ -77,13 +77,22 @@ void Controller::turn_on() noexcept {
   state_.command = turn * state_.command;
 }
 
-double Controller::floored(double v_p_hat2) const noexcept {
+// What a held μ amounts to, turning, and the way back. 1 where μ turns: neither multiplied nor divided by.
+[[gnu::always_inline]] inline SpaceVector Controller::as_turning(SpaceVector mu) const noexcept {
+  return configuration_.timing.hold == Hold::turning ? mu : constants_.held * mu;
+}
+[[gnu::always_inline]] inline SpaceVector Controller::as_held(SpaceVector mu) const noexcept {
+  return configuration_.timing.hold == Hold::turning ? mu : mu / constants_.held;
+}
+
+[[gnu::always_inline]] inline double Controller::floored(double v_p_hat2) const noexcept {
   const double floor = configuration_.v_p_hat_min * configuration_.v_p_hat_min;
   return v_p_hat2 > floor ? v_p_hat2 : floor;
 }
 
 // The integrals one step on to x, by the trapezoid.
-Controller::Errors Controller::integrate(const Errors& before, const Point& x) const noexcept {
+[[gnu::always_inline]] inline Controller::Errors Controller::integrate(const Errors& before,
+                                                                       const Point& x) const noexcept {
   const Converter& c = configuration_.converter;
   const double half_T = 0.5 * constants_.T;
   const double q_r = x.reference.q_r, v_cr = x.reference.v_cr;
@@ -99,7 +108,8 @@ Controller::Errors Controller::integrate(const Errors& before, const Point& x) c
 }
 
 // Backward Euler, in closed form: the equation is stiff near p_r = 0.
-double Controller::next_p_r(const Point& x, double p_i, const ShapedReference& r) const noexcept {
+[[gnu::always_inline]] inline double Controller::next_p_r(const Point& x, double p_i,
+                                                          const ShapedReference& r) const noexcept {
   const Converter& c = configuration_.converter;
   const double T = constants_.T, delta_p = configuration_.delta_p;
   const double b = abs2(x.v_p_hat) * T / c.L;
@@ -122,8 +132,8 @@ double Controller::next_p_r(const Point& x, double p_i, const ShapedReference& r
 
 // What i, v_c and v̂_p will be at the next sample, under the μ that is in force until then: the physical
 // state, not the error triple, since a weak grid answers through L + L_g.
-Controller::Point Controller::predict(const Point& x, SpaceVector v_p, double p_i,
-                                      const ShapedReference& next) const noexcept {
+[[gnu::always_inline]] inline Controller::Point Controller::predict(
+    const Point& x, SpaceVector v_p, double p_i, const ShapedReference& next) const noexcept {
   const Converter& c = configuration_.converter;
   const double T = constants_.T;
   const SpaceVector turn = constants_.turn, mu = state_.mu;
@@ -142,7 +152,8 @@ Controller::Point Controller::predict(const Point& x, SpaceVector v_p, double p_
 }
 
 // μ that gives û, before the hold and the limit. ṗ_i cancels in it.
-SpaceVector Controller::law(const Point& x, const Errors& errors, double dp_r, double dq_r) const noexcept {
+[[gnu::always_inline]] inline SpaceVector Controller::law(const Point& x, const Errors& errors, double dp_r,
+                                                          double dq_r) const noexcept {
   const Converter& c = configuration_.converter;
   const Gains& K = constants_.K;
   const double p_hat = power(x.v_p_hat, x.i).re;
@@ -153,7 +164,8 @@ SpaceVector Controller::law(const Point& x, const Errors& errors, double dp_r, d
   return (x.v_p_hat + c.L * across_L) / x.v_c;  // eq:mu_est
 }
 
-SpaceVector Controller::evaluate(const Measurement& m, SpaceVector v_p, SpaceVector i, bool held) noexcept {
+[[gnu::always_inline]] inline SpaceVector Controller::evaluate(const Measurement& m, SpaceVector v_p,
+                                                               SpaceVector i, bool held) noexcept {
   const bool filtered = configuration_.law == Law::filtered;
   const std::uint64_t k = m.step;
   Point now;
@@ -192,7 +204,7 @@ SpaceVector Controller::evaluate(const Measurement& m, SpaceVector v_p, SpaceVec
   return mu;
 }
 
-void Controller::note_reference(Modulation& out) const noexcept {
+[[gnu::always_inline]] inline void Controller::note_reference(Modulation& out) const noexcept {
   const ReferenceTrack& track = shaper_.state().track;
   out.reference_id = track.id();
   if (track.fallen_back) out.status |= fallback;
@@ -254,7 +266,7 @@ Modulation Controller::step(const Measurement& m) noexcept {
   const bool held = m.state == UnitState::holding && !starting;
   if (held && configuration_.timing.delay == 1) state_.mu = state_.mu_before;
 
-  const SpaceVector command = evaluate(m, v_p, i, held) / constants_.held;
+  const SpaceVector command = as_held(evaluate(m, v_p, i, held));
   const double magnitude2 = abs2(command);
   const double mu_max = configuration_.converter.mu_max;
   out.mu = command;
@@ -264,17 +276,17 @@ Modulation Controller::step(const Measurement& m) noexcept {
     // Anti-windup by tracking: what the limit cut off û drains from both integrals, at the rate of the
     // slowest pole. To let them stand instead leaves a saturated equilibrium (C = 4.8e-5 s, X_g = 0.3).
     const SpaceVector cut_u = (m.v_c / configuration_.converter.L) *
-                              (conj(state_.v_p_hat) * (constants_.held * (command - out.mu)));  // eq:mu_est
+                              (conj(state_.v_p_hat) * as_turning(command - out.mu));  // eq:mu_est
     state_.y = state_.y - (constants_.tracking / constants_.K.k3) * cut_u;
     state_.eta_error = state_.eta_error - constants_.tracking / constants_.K.k1 * cut_u.im;
   }
   if (abs2(state_.v_p_hat) < configuration_.v_p_hat_min * configuration_.v_p_hat_min)
     out.status |= low_voltage;
 
-  const SpaceVector as_turning = constants_.held * out.mu;
+  const SpaceVector mu = as_turning(out.mu);
   const bool delayed = configuration_.timing.delay == 1;
-  state_.mu_before = constants_.turn * (delayed ? state_.mu : as_turning);
-  state_.mu = as_turning;
+  state_.mu_before = constants_.turn * (delayed ? state_.mu : mu);
+  state_.mu = mu;
   state_.command = constants_.turn * out.mu;
   note_reference(out);
   started_ = !m.blocked;

@@ -109,6 +109,8 @@ class Controller {
 
   void start(SpaceVector v_p, SpaceVector i, double v_c) noexcept;
   void turn_on() noexcept;
+  SpaceVector as_turning(SpaceVector mu) const noexcept;
+  SpaceVector as_held(SpaceVector mu) const noexcept;
   double floored(double v_p_hat2) const noexcept;
   Errors integrate(const Errors& before, const Point& x) const noexcept;
   double next_p_r(const Point& x, double p_i, const ShapedReference& next) const noexcept;

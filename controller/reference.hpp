@@ -48,13 +48,16 @@ class ReferenceShaper {
   ShapedReference at(std::uint64_t step) const noexcept {
     const Ramp::Point q = state_.q.at(step);
     const Ramp::Point v_c = state_.v_c.at(step);
-    return {q.value, q.slope / T_, v_c.value, v_c.slope / T_};
+    return {q.value, per_second(q.slope), v_c.value, per_second(v_c.slope)};
   }
 
   const State& state() const noexcept { return state_; }
   void restore(const State& state) noexcept { state_ = state; }
 
  private:
+  // Most of the time nothing moves, and a division is slow.
+  double per_second(double slope) const noexcept { return slope == 0.0 ? slope : slope / T_; }
+
   void stand() noexcept {
     state_.q = {0.0, 0.0, 0.0, 0, 0};
     state_.v_c = {idle_v_c_, idle_v_c_, 0.0, 0, 0};
