@@ -4,6 +4,7 @@
 #include <openssl/evp.h>
 
 #include <array>
+#include <cstring>
 #include <new>
 
 namespace weakgrid {
@@ -15,13 +16,24 @@ Sha256::Sha256() : context_(EVP_MD_CTX_new()) {
 Sha256::~Sha256() { EVP_MD_CTX_free(context_); }
 
 void Sha256::add(std::span<const std::byte> bytes) noexcept {
-  EVP_DigestUpdate(context_, bytes.data(), bytes.size());
+  if (bytes.size() > gathered_.size() - size_) {
+    EVP_DigestUpdate(context_, gathered_.data(), size_);
+    size_ = 0;
+  }
+  if (bytes.size() > gathered_.size()) {
+    EVP_DigestUpdate(context_, bytes.data(), bytes.size());
+    return;
+  }
+  if (bytes.empty()) return;
+  std::memcpy(gathered_.data() + size_, bytes.data(), bytes.size());
+  size_ += bytes.size();
 }
 
 std::string Sha256::hex() const {
   EVP_MD_CTX* copy = EVP_MD_CTX_new();
   std::array<unsigned char, 32> digest{};
   const bool done = copy != nullptr && EVP_MD_CTX_copy_ex(copy, context_) == 1 &&
+                    EVP_DigestUpdate(copy, gathered_.data(), size_) == 1 &&
                     EVP_DigestFinal_ex(copy, digest.data(), nullptr) == 1;
   EVP_MD_CTX_free(copy);
   if (!done) throw std::bad_alloc();

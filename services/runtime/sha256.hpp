@@ -1,6 +1,7 @@
 // SHA-256 of what is added piece by piece.
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <span>
 #include <string>
@@ -22,6 +23,9 @@ class Sha256 {
 
  private:
   evp_md_ctx_st* context_;
+  // Small pieces are gathered: a call of OpenSSL's costs more than the hash of 44 bytes.
+  std::array<std::byte, 1024> gathered_;
+  std::size_t size_ = 0;
 };
 
 }  // namespace weakgrid
