@@ -3,8 +3,10 @@
 #include <spdlog/spdlog.h>
 
 #include <atomic>
+#include <memory>
 #include <mutex>
 #include <utility>
+#include <vector>
 
 #include "gateway/arbiter.hpp"
 #include "services/decision_text.hpp"
@@ -15,44 +17,45 @@
 namespace weakgrid {
 namespace {
 
-class GatewayService {
+// The supervisor of one unit.
+class GatewayUnit {
  public:
   /// memory: what the journal of an earlier start tells; settings hold the grid of it already.
-  GatewayService(const Settings& settings, const GatewayMemory& memory, std::optional<Journal>& journal)
+  GatewayUnit(const Settings& settings, const GatewayMemory& memory, std::optional<Journal>& journal,
+              Bus& bus)
       : unit_(settings.unit.number),
+        who_(name_in_log(settings)),
         timing_(timing(settings)),
         journal_(journal),
         memory_(memory.reference ? std::optional(memory) : std::nullopt),
         after_restart_(settings.gateway.after_restart),
         arbiter_(arbiter_configuration(settings)),
         evidence_(evidence_configuration(settings)),
-        bus_(settings.unit.domain, settings.dds.interfaces, "weakgrid-gateway"),
-        announcer_(bus_, settings, "gateway", {}),
-        references_(bus_, settings.unit.number),
-        decisions_(bus_, settings.unit.number),
-        envelopes_(bus_, settings.unit.number),
-        operations_(bus_, settings.unit.number),
-        health_reader_(bus_, settings.unit.number, [this](const Health& h, WriterId) { hear(h); }),
-        measurement_reader_(bus_, settings.unit.number,
-                            [this](const Measurement& m, WriterId w) { watch(m, w); }),
-        request_reader_(bus_, settings.unit.number, [this](const Request& r, WriterId) { decide(r); }) {
+        announcer_(bus, settings, "gateway", {}),
+        references_(bus, unit_),
+        decisions_(bus, unit_),
+        envelopes_(bus, unit_),
+        operations_(bus, unit_) {
     const std::lock_guard lock(mutex_);
     note_event("started", "the gateway has started");
     check_fallback();
     if (memory.reference) arbiter_.note_foreign_reference(memory.reference->id);
   }
 
-  void serve(StopSignal& stop) {
-    while (!stop.wait(std::chrono::milliseconds(5))) {
-      watch_lease();
-      say_envelope();
-      announcer_.say(health());
-    }
+  ~GatewayUnit() {
+    const std::lock_guard lock(mutex_);
     note_event("stopped", "the gateway was stopped");
-    spdlog::info("stopped after {} accepted and {} rejected requests", accepted_.load(), rejected_.load());
+    spdlog::info("{}stopped after {} accepted and {} rejected requests", who_, accepted_.load(),
+                 rejected_.load());
   }
 
- private:
+  void say(std::uint64_t malformed) {
+    watch_lease();
+    say_envelope();
+    announcer_.say(health(malformed));
+  }
+
+  // On threads of the bus, as the next two.
   void decide(const Request& request) {
     const std::lock_guard lock(mutex_);
     if (!has_looked_around()) return;  // clients repeat
@@ -70,11 +73,49 @@ class GatewayService {
       if (decision.verdict == Verdict::accepted) operate(decision);
       if (decision.kind == RequestKind::set_grid && decision.verdict == Verdict::accepted) check_fallback();
       (decision.verdict == Verdict::accepted ? accepted_ : rejected_).fetch_add(1);
-      spdlog::info("client {:x} request {}: {}", request.client, request.id, describe(decision, timing_));
+      spdlog::info("{}client {:x} request {}: {}", who_, request.client, request.id,
+                   describe(decision, timing_));
     }
     if (!decisions_.write({decision, describe(decision, timing_)})) unsent_.fetch_add(1);
   }
 
+  // Follows the unit: its step, its trips, and whether it is still the same one.
+  void watch(const Measurement& measurement, const Arrival& from, const Reader<Measurement>& reader) {
+    const auto verdict = one_plant_.admit(from.writer, reader);
+    if (verdict == OneWriter::Verdict::refused) {
+      foreign_.fetch_add(1, std::memory_order_relaxed);
+      return;
+    }
+    // The step a decision names and what is known of it change together.
+    const std::lock_guard lock(mutex_);
+    step_.store(measurement.step, std::memory_order_relaxed);
+    arbiter_.note_unit(measurement.state);
+    if (memory_) go_on(measurement);
+    const Rules& rules = arbiter_.rules();
+    if (const auto V = evidence_.add(rules.box, rules.converter.omega, measurement)) revalidate(*V);
+    if (verdict != OneWriter::Verdict::changed && measurement.blocked == was_blocked_) return;
+    was_blocked_ = measurement.blocked;
+    if (measurement.blocked || verdict == OneWriter::Verdict::changed) {
+      const Reference idle = arbiter_.block();
+      const std::string text =
+          fmt::format("the unit is {} at step {}: no setpoint stands any more",
+                      measurement.blocked ? name(measurement.state) : "another one", measurement.step);
+      note_event(measurement.blocked ? "blocked" : "restarted", text, idle);
+      issue(idle);
+      spdlog::warn("{}{}", who_, text);
+    }
+    if (!measurement.blocked) arbiter_.unblock();
+  }
+
+  void hear(const Health& health) {
+    if (health.service == "gateway" || health.state == ServiceState::stopped) return;
+    const std::lock_guard lock(mutex_);
+    arbiter_.note_foreign_reference(health.reference_id);
+    heard_plant_ = heard_plant_ || health.service == "plant";
+    heard_controller_ = heard_controller_ || health.service == "controller";
+  }
+
+ private:
   // With mutex_ held: what start, stop and reset mean for the plant.
   void operate(const Decision& decision) {
     Operation operation{.client = decision.client, .id = decision.id};
@@ -96,7 +137,7 @@ class GatewayService {
       unwritten_.fetch_add(1);
     if (decision.reference) issue(*decision.reference);
     check_fallback();
-    spdlog::warn("{}", describe(decision, timing_));
+    spdlog::warn("{}{}", who_, describe(decision, timing_));
     if (!decisions_.write({decision, describe(decision, timing_)})) unsent_.fetch_add(1);
   }
 
@@ -123,7 +164,7 @@ class GatewayService {
     fallback_holds_ = arbiter_.fallback_holds();
     if (fallback_holds_) return;
     const std::string text = "the fallback itself is not admissible or not stable on every grid of the box";
-    spdlog::warn("{}", text);
+    spdlog::warn("{}{}", who_, text);
     note_event("fallback", text);
   }
 
@@ -137,7 +178,7 @@ class GatewayService {
     const std::string text = fmt::format(
         "the lease of reference {} ended at step {}: the unit falls back to p = {:.6g}, q = {:.6g}",
         standing->id, standing->lease_end_step, standing->fallback_p, standing->fallback_q);
-    spdlog::warn("{}", text);
+    spdlog::warn("{}{}", who_, text);
     note_event("lease_end", text);
   }
 
@@ -179,34 +220,6 @@ class GatewayService {
            a.holder == b.holder && a.held_until_step == b.held_until_step;
   }
 
-  // Follows the unit: its step, its trips, and whether it is still the same one.
-  void watch(const Measurement& measurement, WriterId writer) {
-    const auto verdict = one_plant_.admit(writer, measurement_reader_);
-    if (verdict == OneWriter::Verdict::refused) {
-      foreign_.fetch_add(1, std::memory_order_relaxed);
-      return;
-    }
-    // The step a decision names and what is known of it change together.
-    const std::lock_guard lock(mutex_);
-    step_.store(measurement.step, std::memory_order_relaxed);
-    arbiter_.note_unit(measurement.state);
-    if (memory_) go_on(measurement);
-    const Rules& rules = arbiter_.rules();
-    if (const auto V = evidence_.add(rules.box, rules.converter.omega, measurement)) revalidate(*V);
-    if (verdict != OneWriter::Verdict::changed && measurement.blocked == was_blocked_) return;
-    was_blocked_ = measurement.blocked;
-    if (measurement.blocked || verdict == OneWriter::Verdict::changed) {
-      const Reference idle = arbiter_.block();
-      const std::string text =
-          fmt::format("the unit is {} at step {}: no setpoint stands any more",
-                      measurement.blocked ? name(measurement.state) : "another one", measurement.step);
-      note_event(measurement.blocked ? "blocked" : "restarted", text, idle);
-      issue(idle);
-      spdlog::warn("{}", text);
-    }
-    if (!measurement.blocked) arbiter_.unblock();
-  }
-
   // At the first sample, with mutex_ held: what the journal tells stands only if this is still the unit that
   // it tells of. Steps rise as long as a unit lives, and one that lives follows what was ordered.
   void go_on(const Measurement& measurement) {
@@ -224,7 +237,7 @@ class GatewayService {
       }
       arbiter_.adopt(memory.authority);
       issue(last);  // who joins late finds it again; who knows it does not move
-      spdlog::info("goes on from the journal: reference {} stands", last.id);
+      spdlog::info("{}goes on from the journal: reference {} stands", who_, last.id);
       return;
     }
     const Reference idle = arbiter_.block();
@@ -233,15 +246,7 @@ class GatewayService {
         "the unit has begun anew since the journal was written: no setpoint stands any more";
     note_event("restarted", text, idle);
     issue(idle);
-    spdlog::warn("{}", text);
-  }
-
-  void hear(const Health& health) {
-    if (health.service == "gateway" || health.state == ServiceState::stopped) return;
-    const std::lock_guard lock(mutex_);
-    arbiter_.note_foreign_reference(health.reference_id);
-    heard_plant_ = heard_plant_ || health.service == "plant";
-    heard_controller_ = heard_controller_ || health.service == "controller";
+    spdlog::warn("{}{}", who_, text);
   }
 
   // Before it knows which reference plant and controller hold, a restarted gateway would issue one that they
@@ -251,7 +256,7 @@ class GatewayService {
            std::chrono::steady_clock::now() - started_ > std::chrono::seconds(3);
   }
 
-  Health health() {
+  Health health(std::uint64_t malformed) {
     Health health;
     {
       const std::lock_guard lock(mutex_);
@@ -267,11 +272,12 @@ class GatewayService {
                        {"unwritten", unwritten_},
                        {"unsynced", journal_ ? journal_->unsynced() : 0},
                        {"foreign_measurements", foreign_},
-                       {"malformed", request_reader_.malformed() + measurement_reader_.malformed()}};
+                       {"malformed", malformed}};
     return health;
   }
 
   const std::uint32_t unit_;
+  const std::string who_;  // in the log
   const Timing timing_;
   std::optional<Journal>& journal_;
   std::optional<GatewayMemory> memory_;  // until the unit has been seen
@@ -289,15 +295,47 @@ class GatewayService {
   std::atomic<std::uint64_t> step_{0}, accepted_{0}, rejected_{0}, unsent_{0}, unwritten_{0}, foreign_{0};
   std::atomic<std::uint32_t> reference_id_{0};
 
-  Bus bus_;
   Announcer announcer_;
   Writer<Reference> references_;
   Writer<DecisionMessage> decisions_;
   Writer<Envelope> envelopes_;
   Writer<Operation> operations_;
-  Reader<Health> health_reader_;
-  Reader<Measurement> measurement_reader_;
-  Reader<Request> request_reader_;
+};
+
+// Units number … number + count − 1 of the settings; one journal for all.
+class Gateways {
+ public:
+  Gateways(const Settings& settings, std::optional<Journal>& journal, Bus& bus)
+      : served_(settings.unit.number, settings.unit.count) {
+    for (std::uint32_t n = 0; n < settings.unit.count; ++n) {
+      Settings known = numbered(settings, n);
+      const GatewayMemory memory =
+          journal ? recall(settings.gateway.journal, known.unit.number) : GatewayMemory{};
+      if (memory.grid) {
+        known.gateway.grid_resistance = memory.grid->R_g;
+        known.gateway.grid_reactance = memory.grid->X_g;
+        known.gateway.grid_voltage = memory.grid->V;
+      }
+      units_.push_back(std::make_unique<GatewayUnit>(known, memory, journal, bus));
+    }
+    health_.emplace(bus, served_, [this](const Health& h, Arrival a) { unit(a).hear(h); });
+    measurements_.emplace(bus, served_,
+                          [this](const Measurement& m, Arrival a) { unit(a).watch(m, a, *measurements_); });
+    requests_.emplace(bus, served_, [this](const Request& r, Arrival a) { unit(a).decide(r); });
+  }
+  void say() {
+    for (std::uint32_t n = 0; n < served_.count; ++n)
+      units_[n]->say(requests_->malformed(served_.first + n) + measurements_->malformed(served_.first + n));
+  }
+
+ private:
+  GatewayUnit& unit(const Arrival& from) { return *units_[from.unit - served_.first]; }
+
+  const Units served_;
+  std::vector<std::unique_ptr<GatewayUnit>> units_;
+  std::optional<Reader<Health>> health_;
+  std::optional<Reader<Measurement>> measurements_;
+  std::optional<Reader<Request>> requests_;
 };
 
 }  // namespace
@@ -306,29 +344,20 @@ class GatewayService {
 int main(int argc, char** argv) {
   using namespace weakgrid;
   return run_service(argc, argv, "weakgrid-gateway",
-                     "Accepts setpoints inside the steady-state envelope and issues references to one unit.",
+                     "Accepts setpoints inside the steady-state envelope and issues references to its units.",
                      {}, [](const Settings& settings, StopSignal& stop) {
-                       if (settings.gateway.journal.empty()) {
-                         std::optional<Journal> none;
-                         GatewayService(settings, {}, none).serve(stop);
-                         return;
-                       }
                        std::optional<Journal> journal;
                        // A gateway that was killed a moment ago still holds it.
-                       for (int patience = 50; !journal; --patience) try {
+                       for (int patience = 50; !journal && !settings.gateway.journal.empty(); --patience)
+                         try {
                            journal.emplace(settings.gateway.journal);
                          } catch (const SettingsError&) {
                            throw;
                          } catch (const std::runtime_error&) {
                            if (patience == 0 || stop.wait(std::chrono::milliseconds(100))) throw;
                          }
-                       const GatewayMemory memory = recall(settings.gateway.journal, settings.unit.number);
-                       Settings known = settings;
-                       if (memory.grid) {
-                         known.gateway.grid_resistance = memory.grid->R_g;
-                         known.gateway.grid_reactance = memory.grid->X_g;
-                         known.gateway.grid_voltage = memory.grid->V;
-                       }
-                       GatewayService(known, memory, journal).serve(stop);
+                       Bus bus(settings.unit.domain, settings.dds.interfaces, "weakgrid-gateway");
+                       Gateways gateways(settings, journal, bus);
+                       while (!stop.wait(std::chrono::milliseconds(5))) gateways.say();
                      });
 }

@@ -10,25 +10,25 @@ Client::Client(std::uint32_t domain, std::uint32_t unit, const std::vector<std::
     : identity_(random_identity()),
       bus_(domain, interfaces, "weakgrid"),
       health_reader_(bus_, unit,
-                     [this](const Health& health, WriterId) {
+                     [this](const Health& health, Arrival) {
                        const std::lock_guard lock(mutex_);
                        peers_[{health.service, health.instance}] = health;
                        news_.notify_all();
                      }),
       manifest_reader_(bus_, unit,
-                       [this](const Manifest& manifest, WriterId) {
+                       [this](const Manifest& manifest, Arrival) {
                          const std::lock_guard lock(mutex_);
                          manifests_[{manifest.service, manifest.instance}] = manifest;
                        }),
       decision_reader_(bus_, unit,
-                       [this](const DecisionMessage& message, WriterId) {
+                       [this](const DecisionMessage& message, Arrival) {
                          if (message.decision.client != identity_) return;
                          const std::lock_guard lock(mutex_);
                          decision_ = message;
                          news_.notify_all();
                        }),
       envelope_reader_(bus_, unit,
-                       [this](const Envelope& envelope, WriterId) {
+                       [this](const Envelope& envelope, Arrival) {
                          const std::lock_guard lock(mutex_);
                          envelope_ = envelope;
                          news_.notify_all();

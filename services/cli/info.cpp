@@ -6,6 +6,7 @@
 #include <nlohmann/json.hpp>
 
 #include "services/cli/commands.hpp"
+#include "services/cli/stage_text.hpp"
 #include "services/recording/mcap_recover.hpp"
 #include "services/recording/recorder.hpp"
 #include "services/recording/step_timings.hpp"
@@ -32,6 +33,7 @@ struct RecordingInfo {
   mcap::StringMap recording, recovery;
   json writers = json::object();               // the recorder's own words, of the last time it wrote them
   std::map<std::uint32_t, StepTimings> loops;  // by unit
+  std::map<std::pair<std::uint32_t, std::string>, Health> last_words;  // by unit and service
   std::uint64_t uncompressed = 0, compressed = 0;
 
   bool is_recovered() const { return !recovery.empty(); }
@@ -48,6 +50,9 @@ void see_loop(RecordingInfo& info, const std::string& type, const mcap::Message&
   } else if (type == "weakgrid::wire::Modulation") {
     if (const auto m = from_payload<Modulation>(message.data))
       info.loops[m->unit].see_answer(m->message.step, message.publish_time_ns, message.log_time_ns);
+  } else if (type == "weakgrid::wire::Health") {
+    if (const auto m = from_payload<Health>(message.data))
+      info.last_words[{m->unit, m->message.service}] = m->message;
   }
 }
 
@@ -195,8 +200,6 @@ std::array<NamedDurations, 3> durations_of(const StepTimings& loop) {
            {"publication to recorder", &loop.arrival}}};
 }
 
-double us(std::uint64_t ns) { return static_cast<double>(ns) * 1e-3; }
-
 json to_json(const DurationHistogram& h) {
   return {{"count", h.count()},
           {"p50_us", us(h.quantile_ns(0.5))},
@@ -204,6 +207,14 @@ json to_json(const DurationHistogram& h) {
           {"p999_us", us(h.quantile_ns(0.999))},
           {"max_us", us(h.max_ns())},
           {"negative", h.negative()}};
+}
+
+std::map<std::string, std::uint64_t> lateness_of(const Health& health) {
+  std::map<std::string, std::uint64_t> found;
+  for (const char* name : lateness_counters)
+    for (const Counter& counter : health.counters)
+      if (counter.name == name) found[name] = counter.value;
+  return found;
 }
 
 json to_json(const RecordingInfo& info) {
@@ -243,6 +254,12 @@ json to_json(const RecordingInfo& info) {
                               {"repeated", c.sequences.repeated()},
                               {"dropped", c.dropped},
                               {"gaps", gaps_of(c.sequences)}});
+  for (const auto& [of, health] : info.last_words) {
+    if (health.timings.empty()) continue;
+    json& item = out["services"].emplace_back(
+        json{{"unit", of.first}, {"service", of.second}, {"timings", to_json(health.timings)}});
+    for (const auto& [name, value] : lateness_of(health)) item[name] = value;
+  }
   for (const auto& [unit, loop] : info.loops) {
     json& item = out["loops"].emplace_back(json{{"unit", unit}});
     for (const auto& [name, histogram] : durations_of(loop)) item[name] = to_json(*histogram);
@@ -271,6 +288,13 @@ void print(const RecordingInfo& info) {
       if (h->count() > 0)
         fmt::print("  {:<28}{:>12.1f}{:>12.1f}{:>12.1f}{:>12.1f}\n", name, us(h->quantile_ns(0.5)),
                    us(h->quantile_ns(0.99)), us(h->quantile_ns(0.999)), us(h->max_ns()));
+  }
+  for (const auto& [of, health] : info.last_words) {
+    if (health.timings.empty()) continue;
+    fmt::print("\nunit {}, {}", of.first, of.second);
+    for (const auto& [name, value] : lateness_of(health)) fmt::print(", {} {}", name, value);
+    fmt::print("\n  {}", stage_head());
+    for (const StageTiming& timing : health.timings) fmt::print("  {}", stage_line(timing.stage, timing));
   }
   for (const auto& [id, c] : info.channels) {
     if (c.writer.empty() || c.sequences.missing() == 0) continue;

@@ -19,7 +19,7 @@ Ending Outcome::ending() const {
   if (!trip.empty()) return Ending::tripped;
   for (const Decision& decision : decisions)
     if (decision.verdict != Verdict::accepted) return Ending::refused;
-  if (holds > 0) return Ending::interrupted;
+  if (in_lockstep && holds > 0) return Ending::interrupted;
   if (!summary.has_steady_state) return Ending::no_steady_state;
   return summary.settled ? Ending::settled : Ending::not_settled;
 }

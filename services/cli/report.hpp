@@ -24,9 +24,10 @@ struct Outcome {
   double wall_s = 0.0;  ///< spent stepping
   std::uint64_t holds = 0, resends = 0;
   bool over_dds = false;
+  bool in_lockstep = true;  ///< where a hold is a fault; in real time the machine may do that
 
   Ending ending() const;
-  /// Every setpoint accepted, settled, no hold.
+  /// Every setpoint accepted, settled, no hold in lockstep.
   bool is_good() const { return ending() == Ending::settled; }
 };
 

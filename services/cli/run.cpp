@@ -50,7 +50,7 @@ class Conductor {
         client_(settings.unit.domain, settings.unit.number, settings.dds.interfaces),
         record_(settings),
         measurements_(client_.bus(), settings.unit.number,
-                      [this](const Measurement& m, WriterId) {
+                      [this](const Measurement& m, Arrival) {
                         const std::lock_guard lock(mutex_);
                         if (m.step == next_to_see_)
                           ++next_to_see_;
@@ -60,7 +60,7 @@ class Conductor {
                           return;  // sent again
                         record_.see(m);
                       }),
-        modulations_(client_.bus(), settings.unit.number, [this](const Modulation& mu, WriterId) {
+        modulations_(client_.bus(), settings.unit.number, [this](const Modulation& mu, Arrival) {
           const std::lock_guard lock(mutex_);
           record_.see(mu);
         }) {}
@@ -68,6 +68,7 @@ class Conductor {
   Outcome play(bool is_recorded) {
     Outcome outcome;
     outcome.over_dds = true;
+    outcome.in_lockstep = settings_.plant.pace == Pace::lockstep;
     wait("the services to start", [this](Patience p) {
       return client_.wait_for(p, [this](const Client::Peers& peers) {
         return std::all_of(mine_.begin(), mine_.end(),

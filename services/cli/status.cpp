@@ -7,6 +7,7 @@
 
 #include "services/cli/client.hpp"
 #include "services/cli/commands.hpp"
+#include "services/cli/stage_text.hpp"
 #include "services/decision_json.hpp"
 #include "services/decision_text.hpp"
 #include "services/runtime/program.hpp"
@@ -21,7 +22,7 @@ nlohmann::json to_json(const Health& h, double age_s) {
   return {{"service", h.service}, {"state", name(h.state)},
           {"step", h.step},       {"reference_id", h.reference_id},
           {"age_s", age_s},       {"text", h.text},
-          {"counters", counters}};
+          {"counters", counters}, {"timings", to_json(h.timings)}};
 }
 
 void print(const Health& h, double age_s) {
@@ -29,6 +30,8 @@ void print(const Health& h, double age_s) {
              h.step, h.reference_id, age_s, h.text);
   for (const Counter& counter : h.counters)
     if (counter.value != 0) fmt::print("            {} {}\n", counter.name, counter.value);
+  if (!h.timings.empty()) fmt::print("            {}", stage_head());
+  for (const StageTiming& timing : h.timings) fmt::print("            {}", stage_line(timing.stage, timing));
 }
 
 void print(const Envelope& e) {
@@ -71,7 +74,7 @@ Command add_status(CLI::App& app) {
     Client client(settings.unit.domain, settings.unit.number, settings.dds.interfaces);
     std::mutex mutex;
     std::optional<Measurement> last;
-    const Reader<Measurement> reader(client.bus(), settings.unit.number, [&](const Measurement& m, WriterId) {
+    const Reader<Measurement> reader(client.bus(), settings.unit.number, [&](const Measurement& m, Arrival) {
       const std::lock_guard lock(mutex);
       last = m;
     });

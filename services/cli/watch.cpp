@@ -62,13 +62,12 @@ Command add_watch(CLI::App& app) {
     std::mutex mutex;
     std::optional<Measurement> last;
     std::vector<Decision> decisions;
-    const Reader<Measurement> samples(client.bus(), settings.unit.number,
-                                      [&](const Measurement& m, WriterId) {
-                                        const std::lock_guard lock(mutex);
-                                        last = m;
-                                      });
+    const Reader<Measurement> samples(client.bus(), settings.unit.number, [&](const Measurement& m, Arrival) {
+      const std::lock_guard lock(mutex);
+      last = m;
+    });
     const Reader<DecisionMessage> answers(client.bus(), settings.unit.number,
-                                          [&](const DecisionMessage& m, WriterId) {
+                                          [&](const DecisionMessage& m, Arrival) {
                                             const std::lock_guard lock(mutex);
                                             decisions.push_back(m.decision);
                                           });

@@ -3,6 +3,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <bit>
 
 #include "services/decision_text.hpp"
@@ -50,7 +51,30 @@ void GatewayReplica::process(const UnitInputs& inputs, const Requests& requests,
     else
       add_unchecked(findings_.unchecked, last_step, "no manifest tells its settings");
   }
-  if (arbiter_ && !references_.empty()) issue_unasked(references_.rbegin()->first, last_step);
+  if (!arbiter_ || references_.empty()) return;
+  // Killed in between, it has said what is in force and not why.
+  for (auto last = references_.upper_bound(newest_); last != references_.end(); ++last)
+    if (may_answer_a_request(last->second)) {
+      add_unchecked(findings_.unchecked, last_step,
+                    fmt::format("reference {} is of a decision that is not in the recording", last->first));
+      newest_ = last->first;
+    }
+  issue_unasked(references_.rbegin()->first, last_step);
+}
+
+// It is what a request has asked for that this gateway is not recorded to have answered.
+bool GatewayReplica::may_answer_a_request(const Reference& reference) const {
+  const auto asks_for_it = [&](const Request& r) {
+    if (r.kind == RequestKind::renew) return reference.renews != 0;
+    if (reference.renews != 0) return false;
+    if (r.kind == RequestKind::accept || r.kind == RequestKind::set_grid) return true;
+    return r.kind == RequestKind::set && r.given != 0 && ((r.given & given_p) == 0 || r.p == reference.p) &&
+           ((r.given & given_q) == 0 || r.q == reference.q) &&
+           ((r.given & given_v_c) == 0 || r.v_c == reference.v_c);
+  };
+  return std::any_of(requests_->begin(), requests_->end(), [&](const auto& asked) {
+    return answered_.count(asked.first) == 0 && asks_for_it(asked.second);
+  });
 }
 
 // References that nobody asked for: the unit has tripped or restarted. Before the first decision of a gateway

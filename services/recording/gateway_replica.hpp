@@ -59,6 +59,7 @@ class GatewayReplica {
   };
   void catch_up(std::uint32_t reference_id);
   void issue_unasked(std::uint32_t up_to, std::uint64_t step);
+  bool may_answer_a_request(const Reference& reference) const;
   void decide(const DecisionMessage& recorded);
   void look_for(const Reference& issued, std::uint64_t step);
   const Request* request_of(const Decision& recorded);

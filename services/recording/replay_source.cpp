@@ -170,7 +170,8 @@ void ReplaySource::add_channel(Input& input, const mcap::Channel& channel, const
   SourceWriter writer{.guid = value_of(channel.metadata, "writer"),
                       .topic = topic,
                       .type = schema->second.name,
-                      .keyed = flag(qos, "keyed", static_cast<bool>(key_of_type(schema->second.name))),
+                      // Of our own types the contract says it: it may have changed since.
+                      .keyed = is_keyed_type(schema->second.name).value_or(flag(qos, "keyed", false)),
                       .reliable = flag(qos, "reliability", true),
                       .transient_local = flag(qos, "durability", false),
                       .exclusive = flag(qos, "ownership", false),

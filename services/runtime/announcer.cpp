@@ -42,6 +42,10 @@ std::string digest_of(std::uint32_t unit, const Manifest& manifest) {
   return sum.hex();
 }
 
+std::string name_in_log(const Settings& settings) {
+  return settings.unit.count > 1 ? "unit " + std::to_string(settings.unit.number) + ": " : "";
+}
+
 bool is_announced(const std::string& topic) {
   return topic == Topic<Health>::name || topic == Topic<Manifest>::name;
 }
@@ -71,7 +75,7 @@ Announcer::~Announcer() {
   health_.wait_until_taken(std::chrono::milliseconds(500));
 }
 
-void Announcer::say(Health health) noexcept {
+void Announcer::say(Health health, std::span<const Stage> stages) noexcept {
   const auto now = std::chrono::steady_clock::now();
   const bool changed = health.state != last_.state || health.reference_id != last_.reference_id ||
                        health.text != last_.text || health.digest != last_.digest;
@@ -82,6 +86,7 @@ void Announcer::say(Health health) noexcept {
   health.service = service_;
   health.instance = instance_;
   health.wall_time_ns = wall_time_ns();
+  if (!stages.empty()) health.timings = timings_of(stages);
   if (!health_.write(health)) return;  // said again at the next call
   last_ = health;
   said_ = now;

@@ -9,6 +9,7 @@
 #include "services/runtime/bus.hpp"
 #include "services/runtime/messages.hpp"
 #include "services/runtime/settings.hpp"
+#include "services/runtime/stage_timings.hpp"
 
 namespace weakgrid {
 
@@ -21,6 +22,9 @@ std::string build_text();
 /// SHA-256, hexadecimal, over all fields but the digest, the unit's number included.
 std::string digest_of(std::uint32_t unit, const Manifest& manifest);
 
+/// What a unit's lines in the log begin with: nothing where it is its process's only one.
+std::string name_in_log(const Settings& settings);
+
 /// A topic that an Announcer writes, and so every program.
 bool is_announced(const std::string& topic);
 
@@ -32,7 +36,7 @@ class Announcer {
 
   /// Fills in service, instance and time; writes what differs from the last word in more than step and
   /// counters, or in a step that stands still between two calls, or is a second old.
-  void say(Health health) noexcept;
+  void say(Health health, std::span<const Stage> stages = {}) noexcept;
 
  private:
   Writer<Health> health_;

@@ -15,6 +15,7 @@
 #include <fastdds/dds/topic/TypeSupport.hpp>
 
 #include "services/runtime/participant.hpp"
+#include "services/runtime/qos.hpp"
 #include "services/runtime/wire.hpp"
 
 namespace weakgrid {
@@ -25,50 +26,14 @@ using eprosima::fastrtps::types::ReturnCode_t;
 
 namespace {
 
-// Units of one topic that one process may meet; more are refused by the middleware.
-constexpr int max_units = 64;
+// Writers of one topic of its units that a reader tells apart.
+constexpr std::size_t max_writers = 128;
 
 WriterId writer_id(const dds::InstanceHandle_t& handle) {
   // FNV-1a over the GUID.
   WriterId hash = 14695981039346656037ull;
   for (int n = 0; n < 16; ++n) hash = (hash ^ handle.value[n]) * 1099511628211ull;
   return hash == 0 ? 1 : hash;
-}
-
-// What a loop, a command and a state topic ask of DDS; the same for both ends.
-template <class Qos>
-void apply(QosClass qos_class, bool is_reader, Qos& qos) {
-  qos.data_sharing().off();
-  switch (qos_class) {
-    case QosClass::sample:
-      // Best effort: a late sample is worthless, and reliability costs allocations at each write.
-      qos.reliability().kind = dds::BEST_EFFORT_RELIABILITY_QOS;
-      qos.durability().kind = dds::VOLATILE_DURABILITY_QOS;
-      qos.history().kind = dds::KEEP_LAST_HISTORY_QOS;
-      qos.history().depth = is_reader ? 8 : 1;
-      break;
-    case QosClass::command:
-      qos.reliability().kind = dds::RELIABLE_RELIABILITY_QOS;
-      // The writer keeps what it wrote for a recorder that hears of it late; whoever acts on it must not be
-      // late.
-      qos.durability().kind = is_reader ? dds::VOLATILE_DURABILITY_QOS : dds::TRANSIENT_LOCAL_DURABILITY_QOS;
-      qos.history().kind = dds::KEEP_ALL_HISTORY_QOS;
-      break;
-    case QosClass::state:
-      qos.reliability().kind = dds::RELIABLE_RELIABILITY_QOS;
-      qos.durability().kind = dds::TRANSIENT_LOCAL_DURABILITY_QOS;
-      qos.history().kind = dds::KEEP_LAST_HISTORY_QOS;
-      qos.history().depth = 1;
-      break;
-  }
-  const int per_instance = qos_class == QosClass::command ? 1024 : qos.history().depth;
-  qos.resource_limits().max_instances = max_units;
-  qos.resource_limits().max_samples_per_instance = per_instance;
-  qos.resource_limits().max_samples = max_units * per_instance;
-  qos.resource_limits().allocated_samples = std::min(per_instance, 64);
-  qos.endpoint().history_memory_policy =
-      qos_class == QosClass::sample ? eprosima::fastrtps::rtps::PREALLOCATED_MEMORY_MODE
-                                    : eprosima::fastrtps::rtps::PREALLOCATED_WITH_REALLOC_MEMORY_MODE;
 }
 
 template <class Pointer>
@@ -83,6 +48,7 @@ struct Bus::Impl {
   dds::DomainParticipant* participant = nullptr;
   dds::Publisher* publisher = nullptr;
   dds::Subscriber* subscriber = nullptr;
+  LoopTransport loop = LoopTransport::udp;
 
   template <class Message>
   dds::Topic* topic() {
@@ -96,8 +62,10 @@ struct Bus::Impl {
   }
 };
 
-Bus::Bus(std::uint32_t domain, const std::vector<std::string>& interfaces, const std::string& name)
+Bus::Bus(std::uint32_t domain, const std::vector<std::string>& interfaces, const std::string& name,
+         LoopTransport loop)
     : impl_(std::make_unique<Impl>()) {
+  impl_->loop = loop;
   const dds::DomainParticipantQos qos = participant_qos(name, interfaces);
   auto* factory = dds::DomainParticipantFactory::get_instance();
   impl_->participant =
@@ -128,7 +96,7 @@ Writer<Message>::Writer(Bus& bus, std::uint32_t unit) : impl_(std::make_unique<I
   impl_->publisher = bus.impl().publisher;
   impl_->wire.unit(unit);
   dds::DataWriterQos qos;
-  apply(Topic<Message>::qos, false, qos);
+  apply<Message>(false, bus.impl().loop, qos);
   qos.publish_mode().kind = dds::SYNCHRONOUS_PUBLISH_MODE;
   // A full history waits for acknowledgements, and these for a heartbeat: 64 samples and 100 ms let some 100
   // commands a second through, 1024 and 10 ms more than 1000.
@@ -165,22 +133,23 @@ template <class Message>
 struct Reader<Message>::Impl : dds::DataReaderListener {
   dds::Subscriber* subscriber;
   dds::DataReader* reader = nullptr;
-  std::uint32_t unit;
+  Units units{0};
   Take take;
   typename Topic<Message>::Wire wire;
   Message message;
   dds::SampleInfo info;
-  std::array<std::atomic<WriterId>, 16> alive{};
+  std::array<std::atomic<WriterId>, max_writers> alive{};
   std::atomic<int> matched{0};
-  std::atomic<std::uint64_t> malformed{0};
+  std::vector<std::atomic<std::uint64_t>> malformed;  // of each unit
 
   void on_data_available(dds::DataReader* from) override {
     while (from->take_next_sample(&wire, &info) == ReturnCode_t::RETCODE_OK) {
-      if (!info.valid_data || wire.unit() != unit) continue;
+      const std::uint32_t index = wire.unit() - units.first;
+      if (!info.valid_data || index >= units.count) continue;
       if (decode(wire, message))
-        take(message, writer_id(info.publication_handle));
+        take(message, {wire.unit(), writer_id(info.publication_handle), info.source_timestamp.to_ns()});
       else
-        malformed.fetch_add(1, std::memory_order_relaxed);
+        malformed[index].fetch_add(1, std::memory_order_relaxed);
     }
   }
 
@@ -197,12 +166,13 @@ struct Reader<Message>::Impl : dds::DataReaderListener {
 };
 
 template <class Message>
-Reader<Message>::Reader(Bus& bus, std::uint32_t unit, Take take) : impl_(std::make_unique<Impl>()) {
+Reader<Message>::Reader(Bus& bus, Units units, Take take) : impl_(std::make_unique<Impl>()) {
   impl_->subscriber = bus.impl().subscriber;
-  impl_->unit = unit;
+  impl_->units = units;
+  impl_->malformed = std::vector<std::atomic<std::uint64_t>>(units.count);
   impl_->take = std::move(take);
   dds::DataReaderQos qos;
-  apply(Topic<Message>::qos, true, qos);
+  apply<Message>(true, bus.impl().loop, qos);
   impl_->reader = made(impl_->subscriber->create_datareader(bus.impl().topic<Message>(), qos, impl_.get(),
                                                             dds::StatusMask::data_available()
                                                                 << dds::StatusMask::subscription_matched()),
@@ -227,8 +197,8 @@ bool Reader<Message>::is_alive(WriterId writer) const noexcept {
 }
 
 template <class Message>
-std::uint64_t Reader<Message>::malformed() const noexcept {
-  return impl_->malformed.load(std::memory_order_relaxed);
+std::uint64_t Reader<Message>::malformed(std::uint32_t unit) const noexcept {
+  return impl_->malformed[unit - impl_->units.first].load(std::memory_order_relaxed);
 }
 
 #define WEAKGRID_INSTANTIATE(Message) \

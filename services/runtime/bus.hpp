@@ -11,6 +11,8 @@
 #include <string>
 #include <vector>
 
+#include "services/runtime/settings.hpp"
+
 namespace weakgrid {
 
 /// The world failed at start-up: a participant, topic, reader or writer cannot be made.
@@ -21,12 +23,26 @@ struct BusError : std::runtime_error {
 /// Who wrote a sample: a hash of the writer's GUID, never 0.
 using WriterId = std::uint64_t;
 
-/// One DDS participant. UDPv4 alone, on the interfaces given; data-sharing off: a peer killed
-/// while it holds a shared lock could take this process down.
+/// Where a message comes from.
+struct Arrival {
+  std::uint32_t unit = 0;
+  WriterId writer = 0;
+  std::int64_t sent_ns = 0;  ///< CLOCK_REALTIME of the writer when it wrote
+};
+
+/// Units first, first + 1, … whose messages one reader takes.
+struct Units {
+  std::uint32_t first = 1, count = 1;
+  Units(std::uint32_t number) : first(number) {}
+  Units(std::uint32_t first_number, std::uint32_t how_many) : first(first_number), count(how_many) {}
+};
+
+/// One DDS participant: UDPv4 alone, on the interfaces given.
 /// Its threads have the signal mask and scheduling of the thread that makes it. Throws BusError.
 class Bus {
  public:
-  Bus(std::uint32_t domain, const std::vector<std::string>& interfaces, const std::string& name);
+  Bus(std::uint32_t domain, const std::vector<std::string>& interfaces, const std::string& name,
+      LoopTransport loop = LoopTransport::udp);
   ~Bus();
   Bus(const Bus&) = delete;
   Bus& operator=(const Bus&) = delete;
@@ -37,6 +53,11 @@ class Bus {
  private:
   std::unique_ptr<Impl> impl_;
 };
+
+/// The bus of a process that takes part in the loop.
+inline Bus loop_bus(const Settings& settings, const std::string& name) {
+  return Bus(settings.unit.domain, settings.dds.interfaces, name, settings.dds.loop);
+}
 
 /// Writes one unit's messages of one topic. From one thread at a time.
 template <class Message>
@@ -56,20 +77,21 @@ class Writer {
   std::unique_ptr<Impl> impl_;
 };
 
-/// Takes one unit's messages of one topic as they come, on a thread of the bus, one at a time.
+/// Takes messages of one topic of one or several units as they come, on a thread of the bus, or of a writer
+/// in the same process.
 template <class Message>
 class Reader {
  public:
-  using Take = std::function<void(const Message&, WriterId)>;
-  Reader(Bus& bus, std::uint32_t unit, Take take);
+  using Take = std::function<void(const Message&, Arrival)>;
+  Reader(Bus& bus, Units units, Take take);
   /// No call of take is under way or comes after this.
   ~Reader();
   /// Writers matched now.
   int matched() const noexcept;
   /// This writer is matched now.
   bool is_alive(WriterId writer) const noexcept;
-  /// Samples that no correct peer sends.
-  std::uint64_t malformed() const noexcept;
+  /// Samples that no correct peer sends, of one of its units.
+  std::uint64_t malformed(std::uint32_t unit) const noexcept;
 
  private:
   struct Impl;

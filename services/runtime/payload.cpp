@@ -12,6 +12,7 @@ namespace {
 
 template <class Message>
 KeyOf key_of() {
+  if (!typename Topic<Message>::Type().m_isGetKeyDefined) return {};
   // The generated type keeps a buffer for the key between calls.
   return [type = std::make_shared<typename Topic<Message>::Type>(),
           wire = std::make_shared<typename Topic<Message>::Wire>()](
@@ -38,6 +39,15 @@ std::optional<OfUnit<Message>> from_payload(std::span<const std::byte> payload) 
 std::optional<bool> is_state_type(std::string_view type) {
 #define WEAKGRID_TRY(Message) \
   if (type == typename Topic<Message>::Type().getName()) return Topic<Message>::qos == QosClass::state;
+  WEAKGRID_MESSAGES(WEAKGRID_TRY)
+#undef WEAKGRID_TRY
+  return std::nullopt;
+}
+
+std::optional<bool> is_keyed_type(std::string_view type) {
+#define WEAKGRID_TRY(Message)                            \
+  if (type == typename Topic<Message>::Type().getName()) \
+    return typename Topic<Message>::Type().m_isGetKeyDefined;
   WEAKGRID_MESSAGES(WEAKGRID_TRY)
 #undef WEAKGRID_TRY
   return std::nullopt;

@@ -33,7 +33,9 @@ std::optional<OfUnit<Message>> from_payload(std::span<const std::byte> payload);
 using KeyHash = std::array<std::uint8_t, 16>;
 /// The key of a payload of one type; nothing for one that does not decode. For one thread.
 using KeyOf = std::function<std::optional<KeyHash>(std::span<const std::byte>)>;
-/// For a DDS type name; empty for a type that weakgrid.idl does not have.
+/// Whether our type is keyed; nothing for types that are not ours.
+std::optional<bool> is_keyed_type(std::string_view type);
+/// For a DDS type name; empty for a type that weakgrid.idl does not have, or has without a key.
 KeyOf key_of_type(const std::string& type);
 
 }  // namespace weakgrid

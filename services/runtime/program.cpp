@@ -69,7 +69,7 @@ int run_service(int argc, char** argv, const std::string& name, const std::strin
   std::uint64_t instance = 0;
   app.add_option("--settings", file, "settings or scenario file, TOML; without it, all defaults");
   app.add_option("--domain", domain, "DDS domain, instead of the file's")->check(CLI::Range(0, 230));
-  app.add_option("--unit", unit, "unit number, instead of the file's")->check(CLI::Range(1u, 4294967295u));
+  app.add_option("--unit", unit, "unit number, instead of the file's")->check(CLI::Range(1u, 4294967232u));
   app.add_option("--instance", instance, "identity in health and manifest, instead of a random one")
       ->check(CLI::Range(std::uint64_t{1}, std::numeric_limits<std::uint64_t>::max()));
   app.add_option("--log", level, "what is worth a line on stderr")

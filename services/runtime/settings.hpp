@@ -45,6 +45,13 @@ struct Scenario {
   std::vector<TimedEvent> events;        // in the order of at_s
 };
 
+/// How samples of the loop travel between two processes that both say so; all else, and whoever else listens,
+/// has UDP.
+enum class LoopTransport : std::uint8_t {
+  udp,
+  data_sharing,  ///< twice as fast; a peer killed while it holds a shared lock can take this process down
+};
+
 /// How a plant goes from step to step.
 enum class Pace : std::uint8_t {
   lockstep,  ///< as its controller answers
@@ -58,6 +65,7 @@ enum class Overrun : std::uint8_t { hold, block };
 struct Settings {
   struct {
     std::uint32_t number = 1;
+    std::uint32_t count = 1;  // served by one process: number, number + 1, …
     std::uint32_t domain = 0;
     std::uint64_t instance = 0;  // not in the file: the identity of this start, 0 = draw one
   } unit;
@@ -129,6 +137,7 @@ struct Settings {
   } gateway;
   struct {
     std::vector<std::string> interfaces = {"127.0.0.1"};
+    LoopTransport loop = LoopTransport::udp;
   } dds;
 
   struct {
@@ -147,6 +156,9 @@ Settings load_settings(const std::string& path);
 Settings parse_settings(const std::string& text, const std::string& name);
 /// All settings in force, as TOML; parse_settings gives them back exactly.
 std::string to_toml(const Settings& settings);
+
+/// Those of the n-th unit that the process serves, from 0.
+Settings numbered(const Settings& settings, std::uint32_t n);
 
 Timing timing(const Settings& settings);
 Converter converter(const Settings& settings);

@@ -6,6 +6,12 @@
 
 namespace weakgrid {
 
+Settings numbered(const Settings& settings, std::uint32_t n) {
+  Settings own = settings;
+  own.unit.number += n;
+  return own;
+}
+
 Timing timing(const Settings& s) {
   return {.period_ns = std::int64_t{s.timing.period_us} * 1000,
           .delay = static_cast<std::uint8_t>(s.timing.delay_steps),

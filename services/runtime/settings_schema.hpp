@@ -19,6 +19,8 @@ inline constexpr Choice<bool> starts[] = {{"running", true}, {"off", false}};
 inline constexpr Choice<AfterRestart> after_restarts[] = {{"resume", AfterRestart::resume},
                                                           {"fallback", AfterRestart::fallback}};
 inline constexpr Choice<Pace> paces[] = {{"lockstep", Pace::lockstep}, {"realtime", Pace::realtime}};
+inline constexpr Choice<LoopTransport> loop_transports[] = {{"udp", LoopTransport::udp},
+                                                            {"data_sharing", LoopTransport::data_sharing}};
 inline constexpr Choice<Overrun> overruns[] = {{"hold", Overrun::hold}, {"block", Overrun::block}};
 inline constexpr Choice<Quantity> quantities[] = {{"source_power", Quantity::source_power},
                                                   {"grid_resistance", Quantity::grid_resistance},
@@ -30,7 +32,8 @@ inline constexpr Choice<Quantity> quantities[] = {{"source_power", Quantity::sou
 template <class File, class SettingsOrConst>
 void visit(File& file, SettingsOrConst& s) {
   file.section("unit", [&](auto& f) {
-    f.count("number", s.unit.number, 1, 4294967295);
+    f.count("number", s.unit.number, 1, 4294967232);
+    f.count("count", s.unit.count, 1, 64);
     f.count("domain", s.unit.domain, 0, 230);
   });
   file.section("converter", [&](auto& f) {
@@ -101,7 +104,10 @@ void visit(File& file, SettingsOrConst& s) {
     f.count("lead_steps", s.gateway.lead_steps, 1, 1000000);
     f.text("journal", s.gateway.journal);
   });
-  file.section("dds", [&](auto& f) { f.texts("interfaces", s.dds.interfaces, 1, 16); });
+  file.section("dds", [&](auto& f) {
+    f.texts("interfaces", s.dds.interfaces, 1, 16);
+    f.word("loop", s.dds.loop, loop_transports);
+  });
   file.section("realtime", [&](auto& f) {
     f.count("priority", s.realtime.priority, 0, 99);
     f.count("cpu", s.realtime.cpu, -1, 1023);

@@ -302,7 +302,7 @@ struct Tap::Impl : dds::DomainParticipantListener {
       if (is_wanted(T::name))
         listen({.of = {T::name, !is_sample, !is_sample, false},
                 .type = typename T::Type().getName(),
-                .keyed = true,
+                .keyed = typename T::Type().m_isGetKeyDefined,
                 .index = unknown_writer,
                 .readers_by_us = 0});
     };

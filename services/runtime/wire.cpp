@@ -449,6 +449,16 @@ void encode(const Health& m, wire::Health& out) {
   }
   out.digest(cut(m.digest, 64));
   out.text(cut(m.text, 255));
+  out.timings().clear();
+  for (const StageTiming& timing : m.timings) {
+    wire::StageTiming& item = out.timings().emplace_back();
+    item.stage(cut(timing.stage, 15));
+    item.count(timing.count);
+    item.p50_ns(timing.p50_ns);
+    item.p99_ns(timing.p99_ns);
+    item.p999_ns(timing.p999_ns);
+    item.max_ns(timing.max_ns);
+  }
 }
 
 bool decode(const wire::Health& in, Health& m) {
@@ -462,6 +472,9 @@ bool decode(const wire::Health& in, Health& m) {
   for (const wire::Counter& item : in.counters()) m.counters.push_back({item.name().c_str(), item.value()});
   m.digest = in.digest().c_str();
   m.text = in.text().c_str();
+  for (const wire::StageTiming& item : in.timings())
+    m.timings.push_back(
+        {item.stage().c_str(), item.count(), item.p50_ns(), item.p99_ns(), item.p999_ns(), item.max_ns()});
   return true;
 }
 

@@ -236,7 +236,12 @@ WireFields list(const wire::Health& m) {
                                          std::to_string(item.value());
                                 })},
           FIELD(digest),
-          FIELD(text)};
+          FIELD(text),
+          {"timings", sequence(m.timings(), [](const wire::StageTiming& item) {
+             return std::string(item.stage().c_str()) + ":" + std::to_string(item.count()) + ":" +
+                    std::to_string(item.p50_ns()) + ":" + std::to_string(item.p99_ns()) + ":" +
+                    std::to_string(item.p999_ns()) + ":" + std::to_string(item.max_ns());
+           })}};
 }
 
 WireFields list(const wire::Manifest& m) {

@@ -1,5 +1,5 @@
 // The parser that MCAP viewers use reads idl/weakgrid.idl as it is meant: every struct with every field, topics
-// keyed by unit, the loop messages plain and without padding.
+// keyed by unit, the loop messages without a key, plain and without padding.
 // usage: node idl_accepted_by_omgidl_parser.mjs IDL_FILE FOLDER_WITH_NODE_MODULES
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
@@ -84,8 +84,9 @@ function key_faults(structs) {
   const nested = new Set(structs.flatMap((struct) => struct.definitions.map((field) => field.type)));
   return structs.filter((struct) => !nested.has(struct.name)).flatMap((struct) => {
     const [first] = struct.definitions;
-    const keyed = first?.name === "unit" && first.type === "uint32" && first.annotations?.key;
-    return keyed ? [] : [`${struct.name} is a topic's type and does not start with "@key unsigned long unit"`];
+    const wanted = (loop_structs.includes(struct.name.split("::").at(-1)) ? "" : "@key ") + "unsigned long unit";
+    const found = first?.type === "uint32" && `${first.annotations?.key ? "@key " : ""}unsigned long ${first.name}`;
+    return found === wanted ? [] : [`${struct.name} is a topic's type and does not start with "${wanted}"`];
   });
 }
 
@@ -120,8 +121,8 @@ function faults_of(text) {
 const good = `module weakgrid { module wire {
   enum Kind { A, B };
   struct Part { string<31> name; Kind kind; };
-  struct Measurement { @key unsigned long unit; unsigned long flags; double x; };
-  struct Modulation { @key unsigned long unit; unsigned long flags; double x; };
+  struct Measurement { unsigned long unit; unsigned long flags; double x; };
+  struct Modulation { unsigned long unit; unsigned long flags; double x; };
   struct Report { @key unsigned long unit; sequence<Part, 4> parts; };
 }; };`;
 const spoiled = [
@@ -131,6 +132,7 @@ const spoiled = [
   ["unsigned long flags;", "unsigned long flags[3];", "Measurement.flags is no plain number"],
   ["double x;", "double x; string<7> text;", "Measurement.text is no plain number"],
   ["@key unsigned long unit; sequence", "unsigned long unit; sequence", "weakgrid::wire::Report is a topic's type"],
+  ["Measurement { unsigned", "Measurement { @key unsigned", "weakgrid::wire::Measurement is a topic's type"],
   ["unit; sequence", "station; sequence", "weakgrid::wire::Report is a topic's type"],
   ["struct Modulation", "struct Modulated", "there is no Modulation"],
   ["unsigned long flags;", "@optional unsigned long flags;", "Measurement, field 1: declared"],

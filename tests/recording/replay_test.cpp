@@ -224,7 +224,7 @@ TEST(Replay, ARunRecordedReplayedAndRecordedAgainIsTheSameBytesInTheSameOrder) {
                                                "--instance", "1001"});
   Bus bus(other.number(), loopback, "test");
   std::atomic<bool> recorder_runs{false};
-  const Reader<Health> health(bus, 1, [&](const Health& h, WriterId) {
+  const Reader<Health> health(bus, 1, [&](const Health& h, Arrival) {
     if (h.instance == 1001 && h.state == ServiceState::running) recorder_runs = true;
   });
   ASSERT_TRUE(wait_until([&] { return recorder_runs.load(); }));
@@ -340,7 +340,7 @@ TEST(Replay, StepsPausesAndGoesOnAsTyped) {
   Bus bus(domain.number(), loopback, "test");
   std::mutex mutex;
   Health health;
-  const Reader<Health> reader(bus, 7, [&](const Health& h, WriterId) {
+  const Reader<Health> reader(bus, 7, [&](const Health& h, Arrival) {
     const std::lock_guard lock(mutex);
     health = h;
   });
@@ -440,10 +440,10 @@ struct Listener {
   std::map<std::pair<std::uint32_t, std::string>, Steps> healths;
   std::map<std::uint32_t, Steps> steps;
   Bus bus;
-  Reader<Health> health_1{bus, 1, [this](const Health& h, WriterId) { hear(h, 1); }};
-  Reader<Health> health_2{bus, 2, [this](const Health& h, WriterId) { hear(h, 2); }};
-  Reader<Measurement> unit_1{bus, 1, [this](const Measurement& m, WriterId) { hear(m, 1); }};
-  Reader<Measurement> unit_2{bus, 2, [this](const Measurement& m, WriterId) { hear(m, 2); }};
+  Reader<Health> health_1{bus, 1, [this](const Health& h, Arrival) { hear(h, 1); }};
+  Reader<Health> health_2{bus, 2, [this](const Health& h, Arrival) { hear(h, 2); }};
+  Reader<Measurement> unit_1{bus, 1, [this](const Measurement& m, Arrival) { hear(m, 1); }};
+  Reader<Measurement> unit_2{bus, 2, [this](const Measurement& m, Arrival) { hear(m, 2); }};
 };
 
 TEST(Replay, UnitsAndServicesOfOneWriterStayInstancesAlsoForALateJoiner) {

@@ -357,7 +357,7 @@ TEST(Verify, SamplesThatTheControllerNeverGotReexecuteAsGaps) {
   std::condition_variable came;
   std::optional<Modulation> answer;
   Writer<Measurement> measurements(client.bus(), 1);
-  const Reader<Modulation> reader(client.bus(), 1, [&](const Modulation& m, WriterId) {
+  const Reader<Modulation> reader(client.bus(), 1, [&](const Modulation& m, Arrival) {
     const std::lock_guard lock(mutex);
     answer = m;
     came.notify_all();

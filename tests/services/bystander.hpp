@@ -19,16 +19,16 @@ class Bystander {
   explicit Bystander(const Domain& domain, std::uint32_t unit = 1)
       : client_(domain.number(), unit, {"127.0.0.1"}),
         references_(client_.bus(), unit,
-                    [this](const Reference& r, WriterId) {
+                    [this](const Reference& r, Arrival) {
                       const std::lock_guard lock(mutex_);
                       seen_references_.push_back(r);
                     }),
         modulations_(client_.bus(), unit,
-                     [this](const Modulation& m, WriterId) {
+                     [this](const Modulation& m, Arrival) {
                        const std::lock_guard lock(mutex_);
                        modulation_ = m;
                      }),
-        measurements_(client_.bus(), unit, [this](const Measurement& m, WriterId w) { keep(m, w); }) {}
+        measurements_(client_.bus(), unit, [this](const Measurement& m, Arrival a) { keep(m, a.writer); }) {}
 
   Client& client() { return client_; }
 

@@ -59,7 +59,7 @@ TEST(HostilePeer, ASecondWriterOfModulationDoesNotDisturbARun) {
   Client client(domain.number(), 1, {"127.0.0.1"});
   Writer<Modulation> writer(client.bus(), 1);
   std::atomic<std::uint64_t> step{0};
-  const Reader<Modulation> reader(client.bus(), 1, [&](const Modulation& m, WriterId) {
+  const Reader<Modulation> reader(client.bus(), 1, [&](const Modulation& m, Arrival) {
     if (m.step < std::uint64_t{1} << 40) step = m.step;
   });
   // From step 1 on the plant has heard its controller.
@@ -91,7 +91,7 @@ TEST(HostilePeer, ASecondControllerDoesNotDisturbARun) {
   test::Program run("weakgrid", {"run", file.path(), "--json", "--domain", domain.text()});
   Client client(domain.number(), 1, {"127.0.0.1"});
   std::atomic<std::uint64_t> step{0};
-  const Reader<Modulation> reader(client.bus(), 1, [&](const Modulation& m, WriterId) { step = m.step; });
+  const Reader<Modulation> reader(client.bus(), 1, [&](const Modulation& m, Arrival) { step = m.step; });
   ASSERT_TRUE(test::wait_until([&] { return step >= 1; })) << run.err();
   test::Program second("weakgrid-controller", {"--settings", file.path(), "--domain", domain.text()});
   std::uint64_t foreign = 0;
@@ -118,7 +118,7 @@ TEST(HostilePeer, ASecondWriterOfMeasurementsIsNotAnswered) {
 
   constexpr std::uint64_t far_ahead = std::uint64_t{1} << 40;
   std::atomic<std::uint64_t> answered{0};
-  const Reader<Modulation> modulations(bystander.client().bus(), 1, [&](const Modulation& m, WriterId) {
+  const Reader<Modulation> modulations(bystander.client().bus(), 1, [&](const Modulation& m, Arrival) {
     if (m.step >= far_ahead) ++answered;
   });
   Writer<Measurement> writer(bystander.client().bus(), 1);
@@ -153,7 +153,7 @@ TEST(HostilePeer, ASecondRunOfTheSameUnitIsToldSoAndTheFirstIsUndisturbed) {
   test::Program first("weakgrid", {"run", file.path(), "--json", "--domain", domain.text()});
   Client client(domain.number(), 1, {"127.0.0.1"});
   std::atomic<std::uint64_t> step{0};
-  const Reader<Modulation> reader(client.bus(), 1, [&](const Modulation& m, WriterId) { step = m.step; });
+  const Reader<Modulation> reader(client.bus(), 1, [&](const Modulation& m, Arrival) { step = m.step; });
   ASSERT_TRUE(test::wait_until([&] { return step >= 600; })) << first.err();  // both setpoints stand
   const test::Ended second = test::run("weakgrid", {"run", file.path(), "--domain", domain.text()});
   EXPECT_TRUE(first.runs()) << "the first has ended before the second could meet it";

@@ -25,7 +25,7 @@ class Kill : public testing::TestWithParam<const char*> {
   void SetUp() override {
     services_.start_all();
     bystander_.emplace(domain_);
-    samples_.emplace(bystander_->client().bus(), 1, [this](const Measurement& m, WriterId) { see(m); });
+    samples_.emplace(bystander_->client().bus(), 1, [this](const Measurement& m, Arrival) { see(m); });
     ASSERT_TRUE(bystander_->runs(test::long_enough, 50));
   }
   void TearDown() override { std::filesystem::remove(journal_); }
@@ -79,8 +79,13 @@ class Kill : public testing::TestWithParam<const char*> {
         (void)test::run("weakgrid",
                         {"operate", "reset", "--name", "ann", "--timeout", "60", "--domain", domain_.text()});
       const test::Ended ended = test::run("weakgrid", set());
-      // In force, and what fell back before does so no more.
-      if (ended.status == 0 && test::wait_until([&] { return !bystander_->measurement()->fallback; }))
+      // In force, what fell back before does so no more, and this observer has the order too: who wrote it
+      // may be killed next.
+      if (ended.status == 0 && test::wait_until([&] {
+            const Measurement m = *bystander_->measurement();
+            const auto orders = bystander_->references();
+            return !m.fallback && !orders.empty() && orders.back().lease_end_step > m.step;
+          }))
         return ::testing::AssertionSuccess();
     }
     return ::testing::AssertionFailure() << "nothing is accepted any more" << bystander_->words();

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <chrono>
 #include <limits>
+#include <random>
 #include <thread>
 
 #include "services/runtime/time_grid.hpp"
@@ -53,7 +54,7 @@ class Realtime : public testing::Test {
     file_.emplace(settings(period_us, plant, holds_max));
     services_.emplace(domain_, file_->path());
     bystander_.emplace(domain_);
-    arrivals_.emplace(bystander_->client().bus(), 1, [this](const Measurement& m, WriterId) {
+    arrivals_.emplace(bystander_->client().bus(), 1, [this](const Measurement& m, Arrival) {
       const std::int64_t origin = monotonic_ns() - static_cast<std::int64_t>(m.step) * m.timing.period_ns;
       const std::lock_guard lock(mutex_);
       origin_ = std::min(origin_, origin);
@@ -195,6 +196,86 @@ TEST_F(Realtime, StepsThatThePlantMissesBlockAUnitThatShallNotBeHeld) {
   ASSERT_TRUE(test::wait_until([&] { return bystander_->measurement()->step > blocked->step + 200; }))
       << "the grid goes on";
   EXPECT_TRUE(bystander_->measurement()->blocked);
+}
+
+// A controller in this process that now and then leaves three samples in a row without an answer.
+class StallingController {
+ public:
+  static constexpr std::uint64_t stall_steps = 3, stalls = 50;
+
+  StallingController(const Settings& settings, std::uint64_t seed)
+      : random_(seed),
+        controller_(controller_configuration(settings)),
+        bus_(settings.unit.domain, {"127.0.0.1"}, "stalling"),
+        modulations_(bus_, 1),
+        samples_(bus_, 1, [this](const Measurement& m, Arrival) { answer(m); }) {}
+
+  /// Steps that the samples themselves tell were held; each that was left out is checked to be one of them.
+  std::uint64_t held() const {
+    const std::lock_guard lock(mutex_);
+    return held_;
+  }
+  std::uint64_t left_out() const {
+    const std::lock_guard lock(mutex_);
+    return left_out_;
+  }
+
+ private:
+  void answer(const Measurement& m) {
+    const std::lock_guard lock(mutex_);
+    if (last_ && m.step <= last_->step) return;  // the plant waits
+    if (last_ && m.state == UnitState::holding) held_ += m.step - last_->step;
+    if (last_ && left_out_last_) {
+      EXPECT_EQ(m.state, UnitState::holding) << "step " << last_->step << " was not answered";
+    }
+    last_ = m;
+    const Modulation answer = controller_.step(m);
+    left_out_last_ = stalls_ < stalls && m.step >= stall_at_;
+    if (!left_out_last_) {
+      (void)modulations_.write(answer);
+      return;
+    }
+    ++left_out_;
+    if (m.step + 1 < stall_at_ + stall_steps) return;
+    ++stalls_;
+    stall_at_ = m.step + 20 + random_() % 40;
+  }
+
+  std::mt19937_64 random_;
+  mutable std::mutex mutex_;
+  Controller controller_;
+  std::optional<Measurement> last_;
+  bool left_out_last_ = false;
+  std::uint64_t held_ = 0, left_out_ = 0, stalls_ = 0, stall_at_ = 200;
+  Bus bus_;
+  Writer<Modulation> modulations_;
+  Reader<Measurement> samples_;
+};
+
+TEST_F(Realtime, FiftyStallsOfThreePeriodsAreCountedAsExactlyThat) {
+  const std::uint64_t seed = std::random_device{}();
+  SCOPED_TRACE("seed " + std::to_string(seed));
+  const test::TextFile file(settings(slow_rate_us));
+  Settings own = load_settings(file.path());
+  own.unit.domain = domain_.number();
+  StallingController controller(own, seed);
+  test::Program plant("weakgrid-plant",
+                      {"--settings", file.path(), "--domain", domain_.text(), "--until", "4000"});
+  test::Bystander bystander(domain_);
+  ASSERT_TRUE(test::wait_until([&] {
+    return bystander.is("plant", ServiceState::waiting) && bystander.health("plant")->step == 4000;
+  })) << bystander.words();
+  const std::uint64_t holds = bystander.count("plant", "holds");
+  // What nobody's sample tells of is whether the last step was held.
+  EXPECT_GE(holds, controller.held());
+  EXPECT_LE(holds, controller.held() + 1);
+  // A busy machine cuts a stall short by a step that it misses itself, and adds holds of its own, told apart.
+  const std::uint64_t missed = bystander.count("plant", "missed_steps"),
+                      late = bystander.count("plant", "late_modulations");
+  EXPECT_LE(controller.left_out(), StallingController::stalls * StallingController::stall_steps);
+  EXPECT_GE(controller.left_out() + missed, StallingController::stalls * StallingController::stall_steps);
+  EXPECT_GE(holds, controller.left_out());
+  EXPECT_LE(holds, controller.left_out() + late + missed + 1);
 }
 
 TEST_F(Realtime, WhatTheMachineRefusesIsSaidAndStopsNobody) {

@@ -150,7 +150,7 @@ class RawRequest : public Setpoints {
     Setpoints::SetUp();
     if (HasFatalFailure()) return;
     requests_.emplace(bystander_->client().bus(), 1);
-    decisions_.emplace(bystander_->client().bus(), 1, [this](const DecisionMessage& message, WriterId) {
+    decisions_.emplace(bystander_->client().bus(), 1, [this](const DecisionMessage& message, Arrival) {
       const std::lock_guard lock(mutex_);
       answers_.push_back(message);
     });

@@ -311,10 +311,11 @@ TEST(Settings, EveryKeyHasAnEffect) {
   // Read by the services themselves: who they are, where they meet, how the plant keeps time, what they ask
   // of the machine, what a run is called.
   const std::set<std::string> read_elsewhere{
-      "unit.number",          "unit.domain",       "plant.patience_s", "plant.pace",
-      "plant.overrun",        "realtime.priority", "realtime.cpu",     "realtime.lock_memory",
-      "realtime.dma_latency", "dds.interfaces",    "scenario.title",   "gateway.journal",
-      "gateway.after_restart"};
+      "unit.number",          "unit.count",           "dds.loop",
+      "unit.domain",          "plant.patience_s",     "plant.pace",
+      "plant.overrun",        "realtime.priority",    "realtime.cpu",
+      "realtime.lock_memory", "realtime.dma_latency", "dds.interfaces",
+      "scenario.title",       "gateway.journal",      "gateway.after_restart"};
   Settings settings;
   settings.scenario.emplace();
   settings.scenario->end_s = 1.0;

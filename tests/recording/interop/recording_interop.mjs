@@ -108,9 +108,9 @@ class Contract {
       return [{ name: inner.join("."), path: inner, field }];
     });
   }
-  /// The topics' types: what is keyed by unit.
+  /// The topics' types: what begins with the unit.
   roots() {
-    const isRoot = ([, [first]]) => first.name === "unit" && first.annotations?.key !== undefined;
+    const isRoot = ([, [first]]) => first.name === "unit";
     return [...this.structs].filter(isRoot).map(([name]) => name);
   }
   says(field, value, text) {

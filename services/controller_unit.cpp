@@ -1,0 +1,128 @@
+// ControllerUnit: see the header.
+#include "services/controller_unit.hpp"
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+
+#include "services/manifest_constants.hpp"
+#include "services/runtime/time_grid.hpp"
+
+namespace weakgrid {
+
+ControllerUnit::ControllerUnit(const Settings& settings, Bus& bus)
+    : who_(name_in_log(settings)),
+      controller_(controller_configuration(settings)),
+      state_every_(std::max<std::uint64_t>(50'000'000 / std::uint64_t{settings.timing.period_us * 1000u}, 1)),
+      announcer_(bus, settings, "controller", constants_of(controller_.constants())),
+      modulations_(bus, settings.unit.number),
+      states_(bus, settings.unit.number) {}
+
+void ControllerUnit::note_end() const { spdlog::info("{}stopped at step {}", who_, step_.load()); }
+
+void ControllerUnit::say(std::uint64_t malformed) { announcer_.say(health(malformed), stages_); }
+
+// On a thread of the bus: references come here and wait for the next sample.
+void ControllerUnit::keep(const Reference& reference) {
+  if (!references_.put(reference))
+    refused_references_.fetch_add(1, std::memory_order_relaxed);
+  else
+    newest_heard_.store(reference.id, std::memory_order_release);
+}
+
+// The whole hot path of this process.
+void ControllerUnit::answer(const Measurement& measurement, const Arrival& from,
+                            const Reader<Measurement>& reader) {
+  const std::int64_t begun_ns = monotonic_ns();
+  const std::int64_t travelled_ns = wall_time_ns() - from.sent_ns;
+  switch (one_plant_.admit(from.writer, reader)) {
+    case OneWriter::Verdict::refused:
+      foreign_.fetch_add(1, std::memory_order_relaxed);
+      return;
+    case OneWriter::Verdict::changed:
+      controller_.reset();
+      break;
+    case OneWriter::Verdict::known:
+      break;
+  }
+  while (const auto reference = references_.take())
+    if (!controller_.accept(*reference)) refused_references_.fetch_add(1, std::memory_order_relaxed);
+  const Modulation modulation = controller_.step(measurement);
+  if (modulation.step != measurement.step) {
+    stale_.fetch_add(1, std::memory_order_relaxed);
+    return;
+  }
+  const std::int64_t computed_ns = monotonic_ns();
+  if (!modulations_.write(modulation)) unsent_.fetch_add(1, std::memory_order_relaxed);
+  stages_[write].durations.add(monotonic_ns() - computed_ns);
+  stages_[compute].durations.add(computed_ns - begun_ns);
+  stages_[sample].durations.add(travelled_ns);
+  if (measurement.step == step_.load(std::memory_order_relaxed) && running_) return;  // asked again
+  if (measurement.step % state_every_ == 0 && !states_.write(controller_.state()))
+    unsent_.fetch_add(1, std::memory_order_relaxed);
+  step_.store(measurement.step, std::memory_order_relaxed);
+  running_.store(true, std::memory_order_relaxed);
+  count(modulation);
+}
+
+void ControllerUnit::count(const Modulation& modulation) noexcept {
+  const std::uint32_t status = modulation.status;
+  const std::uint32_t fallen_back = (status & fallback) != 0 ? modulation.reference_id : 0;
+  if (fallen_back != 0 && fallen_back != fallen_back_) lease_ends_.fetch_add(1, std::memory_order_relaxed);
+  fallen_back_ = fallen_back;
+  status_.store(status, std::memory_order_relaxed);
+  if (status == 0) return;
+  for (std::size_t bit = 0; bit < counts_.size(); ++bit)
+    if ((status >> bit & 1u) != 0) counts_[bit].fetch_add(1, std::memory_order_relaxed);
+}
+
+Health ControllerUnit::health(std::uint64_t malformed) {
+  Health health;
+  const std::uint32_t status = status_;
+  const bool running = running_;
+  health.state = running ? ServiceState::running : ServiceState::starting;
+  health.step = step_;
+  health.reference_id = newest_heard_.load(std::memory_order_acquire);
+  if (!running)
+    health.text = "waits for a plant";
+  else if ((status & wrong_timing) != 0)
+    health.text = "the plant's period, delay, hold or sampling is not mine";
+  else if ((status & bad_measurement) != 0)
+    health.text = "bad measurement";
+  if (health.text != logged_ && (status & (wrong_timing | bad_measurement)) != 0)
+    spdlog::error("{}{}", who_, health.text);
+  logged_ = health.text;
+  constexpr const char* names[] = {"saturated",    "bad_measurement", "low_voltage", "gap",
+                                   "wrong_timing", "started",         "fallback"};
+  for (std::size_t bit = 0; bit < counts_.size(); ++bit)
+    health.counters.push_back({names[bit], counts_[bit]});
+  health.counters.push_back({"lease_ends", lease_ends_});
+  health.counters.push_back({"stale", stale_});
+  health.counters.push_back({"unsent", unsent_});
+  health.counters.push_back({"refused_references", refused_references_});
+  health.counters.push_back({"foreign_measurements", foreign_});
+  health.counters.push_back({"malformed", malformed});
+  return health;
+}
+
+Controllers::Controllers(const Settings& settings, Bus& bus)
+    : served_(settings.unit.number, settings.unit.count) {
+  for (std::uint32_t n = 0; n < settings.unit.count; ++n)
+    units_.push_back(std::make_unique<ControllerUnit>(numbered(settings, n), bus));
+  references_.emplace(bus, served_, [this](const Reference& r, Arrival a) { unit(a).keep(r); });
+  measurements_.emplace(bus, served_,
+                        [this](const Measurement& m, Arrival a) { unit(a).answer(m, a, *measurements_); });
+}
+
+Controllers::~Controllers() {
+  say();
+  for (const auto& unit : units_) unit->note_end();
+}
+
+void Controllers::say() {
+  for (std::uint32_t n = 0; n < served_.count; ++n)
+    units_[n]->say(measurements_->malformed(served_.first + n) + references_->malformed(served_.first + n));
+}
+
+}  // namespace weakgrid

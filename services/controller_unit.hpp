@@ -1,0 +1,67 @@
+// The flatness law of one unit on a bus, one answer to each sample; and all that one process serves.
+#pragma once
+
+#include <array>
+#include <atomic>
+#include <memory>
+#include <vector>
+
+#include "controller/controller.hpp"
+#include "services/runtime/announcer.hpp"
+#include "services/runtime/mailbox.hpp"
+#include "services/runtime/stage_timings.hpp"
+
+namespace weakgrid {
+
+class ControllerUnit {
+ public:
+  ControllerUnit(const Settings& settings, Bus& bus);
+
+  // On threads of the bus.
+  void keep(const Reference& reference);
+  void answer(const Measurement& measurement, const Arrival& from, const Reader<Measurement>& reader);
+
+  void say(std::uint64_t malformed);
+  void note_end() const;
+
+ private:
+  void count(const Modulation& modulation) noexcept;
+  Health health(std::uint64_t malformed);
+
+  const std::string who_;  // in the log
+  Controller controller_;
+  const std::uint64_t state_every_;  // steps: 50 ms
+  OneWriter one_plant_;
+  Mailbox<Reference, 16> references_;
+  std::atomic<bool> running_{false};
+  std::atomic<std::uint32_t> status_{0}, newest_heard_{0};
+  std::atomic<std::uint64_t> step_{0}, stale_{0}, unsent_{0}, foreign_{0}, refused_references_{0},
+      lease_ends_{0};
+  std::array<std::atomic<std::uint64_t>, 7> counts_{};
+  std::uint32_t fallen_back_ = 0;  // the reference whose fallback was followed at the last sample, 0 = none
+  std::string logged_;
+  enum { sample, compute, write, stage_count };
+  std::array<Stage, stage_count> stages_{Stage{"sample"}, Stage{"compute"}, Stage{"write"}};
+
+  Announcer announcer_;
+  Writer<Modulation> modulations_;
+  Writer<ControllerState> states_;
+};
+
+/// Units number … number + count − 1 of the settings; they answer from the first sample on.
+class Controllers {
+ public:
+  Controllers(const Settings& settings, Bus& bus);
+  ~Controllers();
+  void say();
+
+ private:
+  ControllerUnit& unit(const Arrival& from) { return *units_[from.unit - served_.first]; }
+
+  const Units served_;
+  std::vector<std::unique_ptr<ControllerUnit>> units_;
+  std::optional<Reader<Reference>> references_;
+  std::optional<Reader<Measurement>> measurements_;
+};
+
+}  // namespace weakgrid

@@ -1,0 +1,281 @@
+// PlantUnit: see the header.
+#include "services/plant_unit.hpp"
+
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <algorithm>
+
+#include "services/runtime/realtime.hpp"
+
+namespace weakgrid {
+
+PlantUnit::PlantUnit(const Settings& settings, std::uint64_t until, Bus& bus)
+    : unit_(settings.unit.number),
+      who_(name_in_log(settings)),
+      pace_(settings.plant.pace),
+      overrun_(settings.plant.overrun),
+      period_ns_(timing(settings).period_ns),
+      patience_(static_cast<std::int64_t>(settings.plant.patience_s * 1e9)),
+      emulator_(emulator_configuration(settings), events(settings)),
+      until_(until),
+      announcer_(bus, settings, "plant", {}),
+      measurements_(bus, unit_) {
+  publish();
+}
+
+void PlantUnit::take(const Modulation& modulation, const Arrival& from, const Reader<Modulation>& reader) {
+  if (one_controller_.admit(from.writer, reader) == OneWriter::Verdict::refused) {
+    foreign_.fetch_add(1, std::memory_order_relaxed);
+    return;
+  }
+  stages_[answer].durations.add(wall_time_ns() - from.sent_ns);
+  keep(modulations_, modulation);
+}
+
+void PlantUnit::start(const Reader<Modulation>& answers) {
+  answers_ = &answers;
+  loop_ = std::thread([this] { run(); });
+}
+
+void PlantUnit::stop() {
+  stopping_ = true;
+  wake_.post();
+  if (!loop_.joinable()) return;
+  loop_.join();
+  spdlog::info("{}stopped at step {}", who_, emulator_.step());
+}
+
+void PlantUnit::say(std::uint64_t malformed) { announcer_.say(health(malformed), stages_); }
+
+void PlantUnit::run() {
+  if (pace_ == Pace::realtime) sharpen_timers();
+  while (!stopping_) {
+    hear();
+    if (emulator_.step() >= until_) {
+      pause();
+      continue;
+    }
+    if (pace_ == Pace::realtime && state_ == ServiceState::running && !grid_)
+      grid_ = TimeGrid{emulator_.step(), monotonic_ns(), period_ns_};
+    last_ = emulator_.sample();
+    const std::optional<Modulation> modulation = grid_ ? exchange_in_time(*last_) : exchange(*last_);
+    if (stopping_) break;
+    const std::int64_t begun_ns = monotonic_ns();
+    if (modulation) {
+      stages_[round_trip].durations.add(begun_ns - sent_ns_);
+      digest_.add(unit_, *modulation);
+    }
+    emulator_.advance(modulation ? command(*modulation) : std::nullopt);
+    stages_[emulate].durations.add(monotonic_ns() - begun_ns);
+    if (grid_) keep_time();
+    publish();
+  }
+}
+
+// The answer to this sample, of those that have come.
+std::optional<Modulation> PlantUnit::answer_to(const Measurement& measurement) {
+  while (const auto modulation = modulations_.take()) {
+    if (modulation->step > measurement.step || modulation->step < unanswered_) continue;
+    if (modulation->period_ns != static_cast<std::uint32_t>(measurement.timing.period_ns)) {
+      foreign_.fetch_add(1, std::memory_order_relaxed);
+      continue;
+    }
+    unanswered_ = modulation->step + 1;
+    if (modulation->step < measurement.step) {
+      late_modulations_.fetch_add(1, std::memory_order_relaxed);
+      continue;
+    }
+    if ((modulation->status & saturated) != 0) saturated_.fetch_add(1, std::memory_order_relaxed);
+    return modulation;
+  }
+  return std::nullopt;
+}
+
+// Not sent is as good as lost: sent again in lockstep, a hold in real time.
+void PlantUnit::send(const Measurement& measurement) {
+  const std::int64_t begun_ns = monotonic_ns();
+  (void)measurements_.write(measurement);
+  stages_[write].durations.add(monotonic_ns() - begun_ns);
+}
+
+// Sends the sample once, at its time. None: the next one's time has come.
+std::optional<Modulation> PlantUnit::exchange_in_time(const Measurement& measurement) {
+  sent_ns_ = monotonic_ns();
+  send(measurement);
+  const timespec next = to_timespec(grid_->time_of(measurement.step + 1));
+  do {
+    if (const auto modulation = answer_to(measurement)) return modulation;
+  } while (!stopping_ && wake_.wait_until(next));
+  return std::nullopt;
+}
+
+// Waits for the time of the step that begins. Steps whose time is over by then are held at once, so that
+// the ones after them come in time. The first of them is still written: it tells a recording whether the
+// answer before it was used. The others are not, nobody can answer them in time.
+void PlantUnit::keep_time() {
+  const std::int64_t due_ns = grid_->time_of(emulator_.step());
+  sleep_until(due_ns);
+  const std::int64_t now_ns = monotonic_ns();
+  stages_[wake].durations.add(now_ns - due_ns);
+  const std::uint64_t missed = grid_->missed(emulator_.step(), now_ns);
+  if (missed == 0 || emulator_.step() >= until_) return;
+  overruns_.fetch_add(1, std::memory_order_relaxed);
+  if (overrun_ == Overrun::block) emulator_.trip(Trip::overrun);
+  send(emulator_.sample());
+  const std::uint64_t n = std::min({missed, catch_up_max, until_ - emulator_.step()});
+  for (std::uint64_t k = 0; k < n; ++k) emulator_.advance(std::nullopt);
+  missed_steps_.fetch_add(n, std::memory_order_relaxed);
+}
+
+// Sends the sample until its answer is there: best effort loses a packet now and then, lockstep must not.
+// None: patience is over. Until the first answer there is no hurry.
+std::optional<Modulation> PlantUnit::exchange(const Measurement& measurement) {
+  const bool patient = state_ == ServiceState::starting;
+  const auto patience = controller_is_lost_ ? resend_after : patience_;
+  sent_ns_ = monotonic_ns();
+  for (std::chrono::nanoseconds waited{0}; patient || waited < patience; waited += resend_after) {
+    if (waited.count() > 0 && !patient) resends_.fetch_add(1, std::memory_order_relaxed);
+    // Before the first answer the time that a peer takes to come is none of the loop's.
+    if (patient) sent_ns_ = monotonic_ns();
+    if (measurements_.matched() > 0 && answers_->matched() > 0) send(measurement);
+    const timespec resend_at = monotonic_after(resend_after);
+    while (wake_.wait_until(resend_at)) {
+      if (stopping_) return std::nullopt;
+      if (const auto modulation = answer_to(measurement)) {
+        controller_is_lost_ = false;
+        state_ = ServiceState::running;
+        return modulation;
+      }
+    }
+  }
+  controller_is_lost_ = true;
+  return std::nullopt;
+}
+
+// References and operations that have come.
+void PlantUnit::hear() {
+  while (const auto reference = references_.take())
+    if (!emulator_.accept(*reference)) refused_references_.fetch_add(1, std::memory_order_relaxed);
+  while (const auto operation = operations_.take()) {
+    if (obey(*operation)) continue;
+    refused_operations_.fetch_add(1, std::memory_order_relaxed);
+    spdlog::warn("{}client {:x}: {} is refused at step {}, {}", who_, operation->client,
+                 name(operation->kind), emulator_.step(), name(emulator_.state()));
+  }
+  publish();
+}
+
+bool PlantUnit::obey(const Operation& operation) {
+  switch (operation.kind) {
+    case OperationKind::advance:
+      // Nobody who knows this unit asks it to wait in the past.
+      if (operation.until_step < emulator_.step()) return false;
+      until_ = operation.until_step;
+      return true;
+    case OperationKind::reset_trip:
+      return emulator_.reset_trip();
+    case OperationKind::start:
+      return emulator_.start();
+    case OperationKind::stop:
+      return emulator_.stop();
+  }
+  return false;
+}
+
+void PlantUnit::pause() {
+  {
+    const std::lock_guard lock(digest_mutex_);
+    if (digest_text_.empty()) digest_text_ = digest_.hex();
+  }
+  const ServiceState before = state_;
+  state_ = ServiceState::waiting;
+  grid_.reset();
+  while (!stopping_ && emulator_.step() >= until_) {
+    // Who is silent for long gives way to another plant: the last word again, now and then.
+    if (!wake_.wait_until(monotonic_after(std::chrono::seconds(1))) && last_) send(*last_);
+    hear();
+  }
+  state_ = before;
+  const std::lock_guard lock(digest_mutex_);
+  digest_text_.clear();
+}
+
+// For the health thread.
+void PlantUnit::publish() noexcept {
+  step_.store(emulator_.step(), std::memory_order_relaxed);
+  unit_state_.store(emulator_.state(), std::memory_order_relaxed);
+  trip_.store(emulator_.trip(), std::memory_order_relaxed);
+  trip_step_.store(emulator_.trip_step(), std::memory_order_relaxed);
+  reference_id_.store(emulator_.newest_reference_id(), std::memory_order_relaxed);
+  lease_ends_.store(emulator_.counters().lease_ends, std::memory_order_relaxed);
+  holds_.store(emulator_.counters().holds, std::memory_order_relaxed);
+  refused_modulations_.store(emulator_.counters().refused, std::memory_order_relaxed);
+}
+
+Health PlantUnit::health(std::uint64_t malformed) {
+  Health health;
+  health.state = state_;
+  health.step = step_;
+  health.reference_id = reference_id_;
+  const Trip trip = trip_;
+  const UnitState unit_state = unit_state_;
+  if (trip != Trip::none) {
+    if (health.state == ServiceState::running) health.state = ServiceState::blocked_by_trip;
+    health.text = fmt::format("tripped: {} at step {}", name(trip), trip_step_.load());
+    if (trip != logged_trip_) spdlog::error("{}{}", who_, health.text);
+  } else if (health.state == ServiceState::starting) {
+    health.text = "waits for a controller";
+  } else if (is_blocked(unit_state)) {
+    health.text = name(unit_state);
+  }
+  logged_trip_ = trip;
+  const std::lock_guard lock(digest_mutex_);
+  health.digest = digest_text_;
+  health.counters = {{"holds", holds_},
+                     {"resends", resends_},
+                     {"late_modulations", late_modulations_},
+                     {"overruns", overruns_},
+                     {"missed_steps", missed_steps_},
+                     {"saturated", saturated_},
+                     {"refused_modulations", refused_modulations_},
+                     {"refused_references", refused_references_},
+                     {"refused_operations", refused_operations_},
+                     {"foreign_modulations", foreign_},
+                     {"malformed", malformed},
+                     {"overflow", overflow_},
+                     {"lease_ends", lease_ends_},
+                     {"unit_state", static_cast<std::uint64_t>(unit_state)},
+                     {"tripped", trip == Trip::none ? 0u : 1u},
+                     {"trip_step", trip_step_}};
+  return health;
+}
+
+Plants::Plants(const Settings& settings, std::uint64_t until, Bus& bus)
+    : served_(settings.unit.number, settings.unit.count) {
+  for (std::uint32_t n = 0; n < settings.unit.count; ++n)
+    units_.push_back(std::make_unique<PlantUnit>(numbered(settings, n), until, bus));
+  modulations_.emplace(bus, served_,
+                       [this](const Modulation& m, Arrival a) { unit(a).take(m, a, *modulations_); });
+  references_.emplace(bus, served_, [this](const Reference& r, Arrival a) { unit(a).take(r); });
+  operations_.emplace(bus, served_, [this](const Operation& o, Arrival a) { unit(a).take(o); });
+}
+
+Plants::~Plants() {
+  for (const auto& unit : units_) unit->stop();
+  say();
+}
+
+void Plants::start() {
+  for (const auto& unit : units_) unit->start(*modulations_);
+}
+
+void Plants::say() {
+  for (std::uint32_t n = 0; n < served_.count; ++n) {
+    const std::uint32_t number = served_.first + n;
+    units_[n]->say(modulations_->malformed(number) + references_->malformed(number) +
+                   operations_->malformed(number));
+  }
+}
+
+}  // namespace weakgrid
