@@ -32,6 +32,7 @@ Command add_verify(CLI::App& app);
 Command add_export(CLI::App& app);
 Command add_plot(CLI::App& app);
 Command add_journal(CLI::App& app);
+Command add_latency(CLI::App& app);
 
 /// Where to look for a unit: --settings, or --domain and --unit.
 struct Where {

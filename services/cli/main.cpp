@@ -41,9 +41,9 @@ int main(int argc, char** argv) {
   app.footer("Exit: 0 done, 1 the answer is no, 2 bad usage or input, 3 the world failed.");
   std::vector<std::pair<CLI::App*, Command>> commands;
   for (Command (*add)(CLI::App&) :
-       {add_run, add_simulate, add_sweep, add_set, add_accept, add_renew, add_authority, add_grid,
-        add_envelope, add_schedule, add_status, add_watch, add_operate, add_info, add_recover, add_verify,
-        add_export, add_plot, add_journal}) {
+       {add_run,     add_simulate, add_sweep,    add_set,    add_accept,  add_renew,   add_authority,
+        add_grid,    add_envelope, add_schedule, add_status, add_watch,   add_operate, add_info,
+        add_recover, add_verify,   add_export,   add_plot,   add_journal, add_latency}) {
     Command command = add(app);
     commands.emplace_back(app.get_subcommands({}).back(), std::move(command));
   }
