@@ -37,9 +37,14 @@ class Plant {
     SpaceVector i;
     double v_c;
   };
-  State derivative(const State& x, SpaceVector mu, SpaceVector v_g, double p_i,
-                   const Grid& grid) const noexcept;
-  SpaceVector pcc_voltage(const State& x, SpaceVector mu, SpaceVector v_g, const Grid& grid) const noexcept;
+  // Of one period: divisions are what costs most of a substep.
+  struct Circuit {
+    double R_g, per_L_sum, share_of_bridge, share_of_grid, per_C;
+  };
+  Circuit circuit(const Grid& grid) const noexcept;
+  static State derivative(const State& x, SpaceVector mu, SpaceVector v_g, double p_i,
+                          const Circuit& c) noexcept;
+  static SpaceVector pcc_voltage(const State& x, SpaceVector mu, SpaceVector v_g, const Circuit& c) noexcept;
   void turn_grid() noexcept;
   void settle_idle(const Grid& grid) noexcept;
 

@@ -30,6 +30,9 @@ void PlantUnit::take(const Modulation& modulation, const Arrival& from, const Re
     return;
   }
   stages_[answer].durations.add(wall_time_ns() - from.sent_ns);
+  // In real time the loop does not wait for it.
+  if (pace_ == Pace::realtime && modulation.step == step_)
+    stages_[round_trip].durations.add(monotonic_ns() - sent_ns_);
   keep(modulations_, modulation);
 }
 
@@ -62,13 +65,11 @@ void PlantUnit::run() {
     const std::optional<Modulation> modulation = grid_ ? exchange_in_time(*last_) : exchange(*last_);
     if (stopping_) break;
     const std::int64_t begun_ns = monotonic_ns();
-    if (modulation) {
-      stages_[round_trip].durations.add(begun_ns - sent_ns_);
-      digest_.add(unit_, *modulation);
-    }
+    if (modulation && pace_ == Pace::lockstep) stages_[round_trip].durations.add(begun_ns - sent_ns_);
+    if (modulation) digest_.add(unit_, *modulation);
     emulator_.advance(modulation ? command(*modulation) : std::nullopt);
     stages_[emulate].durations.add(monotonic_ns() - begun_ns);
-    if (grid_) keep_time();
+    if (grid_) make_up_for_missed();
     publish();
   }
 }
@@ -99,26 +100,23 @@ void PlantUnit::send(const Measurement& measurement) {
   stages_[write].durations.add(monotonic_ns() - begun_ns);
 }
 
-// Sends the sample once, at its time. None: the next one's time has come.
+// Sends the sample once, at its time, and sleeps until the next one's: an answer acts if it is there by then,
+// and to be woken by it would take a timer, a wake-up and a switch more at every step.
 std::optional<Modulation> PlantUnit::exchange_in_time(const Measurement& measurement) {
   sent_ns_ = monotonic_ns();
   send(measurement);
-  const timespec next = to_timespec(grid_->time_of(measurement.step + 1));
-  do {
-    if (const auto modulation = answer_to(measurement)) return modulation;
-  } while (!stopping_ && wake_.wait_until(next));
-  return std::nullopt;
+  const std::int64_t due_ns = grid_->time_of(measurement.step + 1);
+  sleep_until(due_ns);
+  stages_[wake].durations.add(monotonic_ns() - due_ns);
+  wake_.drain();
+  return answer_to(measurement);
 }
 
-// Waits for the time of the step that begins. Steps whose time is over by then are held at once, so that
-// the ones after them come in time. The first of them is still written: it tells a recording whether the
-// answer before it was used. The others are not, nobody can answer them in time.
-void PlantUnit::keep_time() {
-  const std::int64_t due_ns = grid_->time_of(emulator_.step());
-  sleep_until(due_ns);
-  const std::int64_t now_ns = monotonic_ns();
-  stages_[wake].durations.add(now_ns - due_ns);
-  const std::uint64_t missed = grid_->missed(emulator_.step(), now_ns);
+// Steps whose time is over when theirs begins are held at once, so that the ones after them come in time. The
+// first of them is still written: it tells a recording whether the answer before it was used. The others are
+// not, nobody can answer them in time.
+void PlantUnit::make_up_for_missed() {
+  const std::uint64_t missed = grid_->missed(emulator_.step(), monotonic_ns());
   if (missed == 0 || emulator_.step() >= until_) return;
   overruns_.fetch_add(1, std::memory_order_relaxed);
   if (overrun_ == Overrun::block) emulator_.trip(Trip::overrun);

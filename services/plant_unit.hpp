@@ -50,7 +50,7 @@ class PlantUnit {
   void send(const Measurement& measurement);
   std::optional<Modulation> exchange_in_time(const Measurement& measurement);
   std::optional<Modulation> exchange(const Measurement& measurement);
-  void keep_time();
+  void make_up_for_missed();
   void hear();
   bool obey(const Operation& operation);
   void pause();
@@ -71,7 +71,6 @@ class PlantUnit {
   std::optional<Measurement> last_;
   std::uint64_t unanswered_ = 0;  // the first step that no answer has come to, those before are repeats
   std::optional<TimeGrid> grid_;  // in real time, from the first answer on and not in a pause
-  std::int64_t sent_ns_ = 0;      // when the sample was last written
   Trip logged_trip_ = Trip::none;
 
   Semaphore wake_;
@@ -84,6 +83,7 @@ class PlantUnit {
   std::atomic<std::uint64_t> refused_modulations_{0}, refused_references_{0}, refused_operations_{0},
       foreign_{0}, overflow_{0};
   std::atomic<std::uint32_t> reference_id_{0};
+  std::atomic<std::int64_t> sent_ns_{0};  // when the sample was first written
   std::mutex digest_mutex_;
   std::string digest_text_;
   OneWriter one_controller_;

@@ -12,7 +12,7 @@ namespace weakgrid {
 /// Asks as a plant does: writes from its thread, sleeps, is woken by the answer. Throws BusError.
 class Ping {
  public:
-  Ping(const Settings& settings);
+  explicit Ping(const Settings& settings);
   ~Ping();
   bool is_matched() const;
   /// Sends message number `step` and waits for its echo; false: none until the deadline, on CLOCK_MONOTONIC.
@@ -26,7 +26,7 @@ class Ping {
 /// Answers as a controller does, where the message arrives, as long as it lives. Throws BusError.
 class Pong {
  public:
-  Pong(const Settings& settings);
+  explicit Pong(const Settings& settings);
   ~Pong();
 
  private:

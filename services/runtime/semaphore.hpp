@@ -22,6 +22,11 @@ class Semaphore {
     while (sem_wait(&semaphore_) != 0) {
     }
   }
+  /// Forgets what was posted.
+  void drain() noexcept {
+    while (sem_trywait(&semaphore_) == 0) {
+    }
+  }
   /// False: the deadline has come.
   bool wait_until(const timespec& deadline) noexcept {
     return sem_clockwait(&semaphore_, CLOCK_MONOTONIC, &deadline) == 0;

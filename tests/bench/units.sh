@@ -7,6 +7,8 @@ bin=$1 seconds=${2:-4}
 shift $(($# < 2 ? $# : 2))
 [ $# -gt 0 ] || set -- 1 2 4 8 16 32 64
 
+. "$(dirname -- "${BASH_SOURCE[0]}")/step_of.sh"
+
 work=$(mktemp -d)
 pids=()
 finish() {
@@ -18,11 +20,6 @@ trap finish EXIT
 
 tick_us=$((1000000 / $(getconf CLK_TCK)))
 cpu_us() { awk -v tick="$tick_us" '{ print ($14 + $15) * tick }' "/proc/$1/stat"; }
-# The last sample's: health is up to a second old.
-step_of() {
-  "$bin/weakgrid" status --domain 230 --unit "$1" --json |
-    awk -F'[:,]' '/"measurement"/ { here = 1 } here && /"step"/ { print $2; exit }'
-}
 memory_mb() { awk '/^VmRSS/ { printf "%.0f", $2 / 1024 }' "/proc/$1/status"; }
 
 printf '%5s %10s %9s | %-35s | %-31s | %s\n' '' '' '' 'µs of a processor per step' 'MB' 'recorder'
@@ -41,10 +38,10 @@ for units in "$@"; do
   until "$bin/weakgrid" status --domain 230 --unit "$units" > /dev/null; do sleep 0.2; done
   sleep 1
   before=() after=() memory=()
-  first=$(step_of "$units") start=$(date +%s%N)
+  first=$(step_of "$bin" 230 "$units") start=$(date +%s%N)
   for pid in "${pids[@]}"; do before+=("$(cpu_us "$pid")"); done
   sleep "$seconds"
-  last=$(step_of "$units") elapsed_ns=$(($(date +%s%N) - start))
+  last=$(step_of "$bin" 230 "$units") elapsed_ns=$(($(date +%s%N) - start))
   for pid in "${pids[@]}"; do after+=("$(cpu_us "$pid")"); memory+=("$(memory_mb "$pid")"); done
   kill "${pids[@]}"
   wait "${pids[@]}" || true

@@ -1,8 +1,8 @@
 // Cyclone DDS over UDP on loopback, laid out and set as the raw Fast DDS of fastdds_link.cpp.
 #include <dds/dds.h>
 
-#include "roundtrip.h"
 #include "tests/bench/roundtrip/link.hpp"
+#include "weakgrid.h"
 
 namespace weakgrid::bench {
 namespace {
@@ -77,7 +77,8 @@ void take_all(dds_entity_t reader, Take take) {
 class CycloneCaller : public Caller {
  public:
   explicit CycloneCaller(const Place& place)
-      : end_(place, roundtrip_Sample_desc, "sample", roundtrip_Answer_desc, "answer", listen, this) {}
+      : end_(place, weakgrid_wire_Measurement_desc, "sample", weakgrid_wire_Modulation_desc, "answer", listen,
+             this) {}
   ~CycloneCaller() override { end_.close(); }
   bool is_matched() override { return end_.is_matched(); }
   bool exchange(std::uint64_t step, const timespec& deadline) override {
@@ -88,11 +89,11 @@ class CycloneCaller : public Caller {
 
  private:
   static void listen(dds_entity_t reader, void* argument) {
-    take_all<roundtrip_Answer>(reader, [&](const roundtrip_Answer& answer) {
+    take_all<weakgrid_wire_Modulation>(reader, [&](const weakgrid_wire_Modulation& answer) {
       static_cast<CycloneCaller*>(argument)->handover_.give(answer.step);
     });
   }
-  roundtrip_Sample sample_{};
+  weakgrid_wire_Measurement sample_{};
   Handover handover_;
   End end_;
 };
@@ -100,7 +101,8 @@ class CycloneCaller : public Caller {
 class CycloneEcho : public Echo {
  public:
   explicit CycloneEcho(const Place& place)
-      : end_(place, roundtrip_Answer_desc, "answer", roundtrip_Sample_desc, "sample", listen, this) {
+      : end_(place, weakgrid_wire_Modulation_desc, "answer", weakgrid_wire_Measurement_desc, "sample", listen,
+             this) {
     writer_ = end_.writer();
   }
   ~CycloneEcho() override { end_.close(); }
@@ -108,13 +110,13 @@ class CycloneEcho : public Echo {
  private:
   static void listen(dds_entity_t reader, void* argument) {
     auto& echo = *static_cast<CycloneEcho*>(argument);
-    take_all<roundtrip_Sample>(reader, [&](const roundtrip_Sample& sample) {
+    take_all<weakgrid_wire_Measurement>(reader, [&](const weakgrid_wire_Measurement& sample) {
       echo.answer_.step = sample.step;
       // A sample that comes before the constructor has ended is asked again.
       if (const dds_entity_t writer = echo.writer_; writer != 0) dds_write(writer, &echo.answer_);
     });
   }
-  roundtrip_Answer answer_{};
+  weakgrid_wire_Modulation answer_{};
   std::atomic<dds_entity_t> writer_{0};
   End end_;
 };
