@@ -61,6 +61,8 @@ void PlantUnit::run() {
     }
     if (pace_ == Pace::realtime && state_ == ServiceState::running && !grid_)
       grid_ = TimeGrid{emulator_.step(), monotonic_ns(), period_ns_};
+    // In lockstep within one process it never sleeps: first in line it would starve the threads of the bus.
+    if (emulator_.step() % yield_every == 0) std::this_thread::yield();
     last_ = emulator_.sample();
     const std::optional<Modulation> modulation = grid_ ? exchange_in_time(*last_) : exchange(*last_);
     if (stopping_) break;

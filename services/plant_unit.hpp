@@ -37,6 +37,7 @@ class PlantUnit {
   static constexpr std::chrono::milliseconds resend_after{20};
   // Steps made up at once; before the next ones it hears operations and writes a sample.
   static constexpr std::uint64_t catch_up_max = 1000;
+  static constexpr std::uint64_t yield_every = 1024;  // steps
 
   template <class Message, std::size_t n>
   void keep(Mailbox<Message, n>& box, const Message& message) {
