@@ -135,6 +135,9 @@ void Replayer::play() {
     if (!wait_until_due(*sample, due)) break;
     hand_out(*sample, due);
     ring_.drop_front();
+    // Only now: who sees that it stands shall find the message counted.
+    const std::lock_guard lock(mutex_);
+    if (is_step_ && steps_ > 0) --steps_;
   }
   ended_ = true;
 }
@@ -144,7 +147,7 @@ std::int64_t Replayer::due_ns(std::int64_t at_ns) {
   const std::lock_guard lock(mutex_);
   const std::int64_t due = schedule_.due_ns(at_ns);
   const bool steps = due == ReplaySchedule::never && steps_ > 0;
-  if (steps) --steps_;
+  is_step_ = steps;
   if (!steps && due != ReplaySchedule::at_once) return due;
   schedule_.start(at_ns, clock_ns());  // there is where it stands now
   return ReplaySchedule::at_once;

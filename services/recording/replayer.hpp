@@ -74,6 +74,7 @@ class Replayer {
   mutable std::mutex mutex_;
   ReplaySchedule schedule_;
   std::uint64_t steps_ = 0;  // to make though it is paused
+  bool is_step_ = false;     // the message under way, of the playing thread
 
   // Of the thread that plays.
   DurationHistogram lateness_;
