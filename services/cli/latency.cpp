@@ -39,7 +39,10 @@ class SettingsFile {
  public:
   explicit SettingsFile(const Settings& settings)
       : path_(std::filesystem::temp_directory_path() / fmt::format("weakgrid_latency_{}.toml", getpid())) {
-    std::ofstream(path_) << to_toml(settings);
+    std::ofstream file(path_);
+    if (!(file << to_toml(settings) << std::flush))
+      throw std::runtime_error(path_.string() +
+                               ": cannot be written; is the disk full? TMPDIR names another place");
   }
   ~SettingsFile() {
     std::error_code ignored;
@@ -145,7 +148,9 @@ class Measurements {
  private:
   static StageTiming only(const Stage& stage) {
     const auto timings = timings_of({&stage, 1});
-    if (timings.empty()) throw std::runtime_error("nothing came back");
+    if (timings.empty())
+      throw std::runtime_error(
+          "nothing came back over DDS: are the interfaces of [dds] up? Or give more --seconds");
     return timings.front();
   }
 
@@ -170,7 +175,7 @@ class Measurements {
     while (!have_met()) {
       if (stop_.wait(Patience(5))) throw std::runtime_error("stopped by a signal");
       if (std::chrono::steady_clock::now() > deadline)
-        throw std::runtime_error("the other end does not come");
+        throw std::runtime_error("the other end was not heard in 30 s: are the interfaces of [dds] up?");
     }
   }
   void wait() {
@@ -259,7 +264,8 @@ int measure(const Options& options) {
     raw.push_back(machine.raw_round_trip());
     for (const StageTiming& timing : machine.loop()) loop[timing.stage].push_back(timing);
   }
-  if (loop["round_trip"].empty()) throw std::runtime_error("the loop does not go round");
+  if (loop["round_trip"].empty())
+    throw std::runtime_error("plant and controller finished no step: give more --seconds");
   std::vector<Held> held;
   for (const std::uint32_t period_us : periods_us) {
     tell(fmt::format("real time at {} µs", period_us));
