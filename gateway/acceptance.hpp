@@ -40,8 +40,8 @@ std::optional<Setpoint> leaves(const Rules& rules, const Course& course, const S
                                std::uint64_t start, std::uint32_t ramp_steps) noexcept;
 
 /// The nearest setpoint that would be accepted from rest at `from`: inside, and if the certificate does not
-/// hold there, the last on the straight way from `from` for which it does.
-std::optional<Setpoint> acceptable_near(const Rules& rules, const Setpoint& wanted, const Setpoint& from,
-                                        Policy policy) noexcept;
+/// hold there, the last on the straight way from `from` for which it does. `area`: see nearest_admissible.
+std::optional<Setpoint> acceptable_near(const Rules& rules, AdmissibleArea& area, const Setpoint& wanted,
+                                        const Setpoint& from, Policy policy) noexcept;
 
 }  // namespace weakgrid

@@ -245,10 +245,10 @@ void Arbiter::judge_setpoint(const Request& request, std::uint64_t step_now, Dec
   std::optional<Setpoint> near;
   if (!assessment.admissible) {
     decision.verdict = Verdict::outside_envelope;
-    near = acceptable_near(configuration_, decision.setpoint, from, request.policy);
+    near = acceptable_near(configuration_, area_, decision.setpoint, from, request.policy);
   } else if (!certify(configuration_, from, decision.setpoint, ramp_s, &decision.margins)) {
     decision.verdict = Verdict::not_stable;
-    near = acceptable_near(configuration_, decision.setpoint, from, request.policy);
+    near = acceptable_near(configuration_, area_, decision.setpoint, from, request.policy);
   } else if (standing_is_known_) {
     if (const auto outside = leaves(configuration_, course, decision.setpoint, start,
                                     static_cast<std::uint32_t>(steps(ramp_s)))) {
@@ -340,7 +340,7 @@ void Arbiter::judge_standing(std::uint64_t step_now, Decision& decision) noexcep
   course.advance_to(start);
   const Setpoint from = course.at(start);
   const Setpoint safe =
-      acceptable_near(configuration_, setpoint_, configuration_.fallback, Policy::minimum_distance)
+      acceptable_near(configuration_, area_, setpoint_, configuration_.fallback, Policy::minimum_distance)
           .value_or(configuration_.fallback);
   (void)certify(configuration_, from, safe, ramp_s, nullptr);
   decision.reference = issue(safe, ramp_s, start, standing_->lease_end_step);

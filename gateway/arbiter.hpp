@@ -221,6 +221,7 @@ class Arbiter {
   std::optional<Reference> standing_;
   Course course_;
   std::uint32_t reference_id_ = 0;
+  AdmissibleArea area_;  ///< saves time, decides nothing
   bool standing_is_known_ = true;
   bool blocked_ = false;
   UnitState unit_state_ = UnitState::running;

@@ -152,19 +152,36 @@ Assessment assess(const GridBox& box, const Converter& converter, const Limits& 
   return result;
 }
 
-double slack(const GridBox& box, const Converter& converter, const Limits& limits,
-             const Setpoint& setpoint) noexcept {
+double slack_in_plane(const GridBox& box, const Converter& converter, const Limits& limits,
+                      const Setpoint& setpoint) noexcept {
   const SpaceVector s{setpoint.p, setpoint.q};
   const Reserve& r = limits.reserve;
   const BoxState x = box_state(box, converter.omega, s);
-  if (!(x.lambda >= 0.0 && x.exists)) return x.lambda < 0.0 ? x.lambda - 1.0 : -1e300;
+  if (!(x.lambda >= 0.0 && x.exists)) return x.lambda < 0.0 ? x.lambda : -1e300;
   const StateMargins m = margins_of(x, converter, limits, s, setpoint.v_c);
   double least = x.lambda - r.steady_state;
   for (const double inside :
-       {m.current - r.current, m.control - r.control, m.v_p_min - r.pcc_voltage, m.v_p_max - r.pcc_voltage,
-        setpoint.v_c - limits.v_c_min - r.dc_voltage, limits.v_c_max - setpoint.v_c - r.dc_voltage})
+       {m.current - r.current, m.control - r.control, m.v_p_min - r.pcc_voltage, m.v_p_max - r.pcc_voltage})
     if (!(inside >= least)) least = inside;
   return std::isnan(least) ? -1e300 : least;
+}
+
+double slack(const GridBox& box, const Converter& converter, const Limits& limits,
+             const Setpoint& setpoint) noexcept {
+  double least = slack_in_plane(box, converter, limits, setpoint);
+  for (const double inside : {setpoint.v_c - limits.v_c_min - limits.reserve.dc_voltage,
+                              limits.v_c_max - setpoint.v_c - limits.reserve.dc_voltage})
+    if (!(inside >= least)) least = inside;
+  return std::isnan(least) ? -1e300 : least;
+}
+
+double upper_slack(const GridBox& box, const Converter& converter, const Limits& limits,
+                   const Setpoint& setpoint) noexcept {
+  const SpaceVector s{setpoint.p, setpoint.q};
+  const BoxState x = box_state(box, converter.omega, s);
+  const StateMargins m = margins_of(x, converter, limits, s, setpoint.v_c);
+  const double control = m.control - limits.reserve.control, v_p = m.v_p_max - limits.reserve.pcc_voltage;
+  return std::isnan(v_p) || v_p < control ? v_p : control;
 }
 
 Assessment assess(const Grid& grid, const Converter& converter, const Limits& limits,

@@ -18,6 +18,7 @@ struct Reserve {
   double control = 0.0;
   double pcc_voltage = 0.0;
   double dc_voltage = 0.0;
+  friend constexpr bool operator==(const Reserve&, const Reserve&) = default;
 };
 
 /// What a setpoint must respect. The defaults keep the paper's points at X_g = 0.3: p = q = 0.707 is inside
@@ -29,6 +30,7 @@ struct Limits {
   double v_c_min = 1.5;  ///< below √2 the bridge cannot even make the nominal voltage
   double v_c_max = 2.4;  ///< 1.7 √2: room above the paper's 1.3 √2, to be kept below the DC-link trip
   Reserve reserve;
+  friend constexpr bool operator==(const Limits&, const Limits&) = default;
 };
 
 struct Setpoint {
@@ -100,9 +102,17 @@ Assessment assess(const Grid& grid, const Converter& converter, const Limits& li
                   const Setpoint& setpoint) noexcept;
 
 /// The smallest of margin − required over the limits of the envelope: at least 0 where assess() admits.
-/// Rises towards the inside; −1 or less where no steady state exists on some grid.
+/// Rises towards the inside; λ alone where no steady state exists on some grid.
 double slack(const GridBox& box, const Converter& converter, const Limits& limits,
              const Setpoint& setpoint) noexcept;
+
+/// The same without the limits of v_c itself.
+double slack_in_plane(const GridBox& box, const Converter& converter, const Limits& limits,
+                      const Setpoint& setpoint) noexcept;
+/// The same of the upper limits on |v_p| and on the bridge voltage alone, those that are not convex in (p,
+/// q).
+double upper_slack(const GridBox& box, const Converter& converter, const Limits& limits,
+                   const Setpoint& setpoint) noexcept;
 
 /// The extremes of the steady state over a box.
 struct BoxState {

@@ -1,9 +1,11 @@
-// The decay of a linear system from the norm of e^{At} at a long t: repeated squaring, no eigenvalue solver.
+// The decay of a linear system without its eigenvalues: Hessenberg form, characteristic polynomial, and
+// Routh's array of it, shifted. Only + − × ÷.
 #include "gateway/loop_decay.hpp"
 
-#include <array>
+#include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 namespace weakgrid {
 
@@ -11,99 +13,127 @@ namespace {
 
 constexpr int n = 8;
 using Matrix = std::array<std::array<double, n>, n>;
+using Polynomial = std::array<double, n + 1>;
 
-Matrix product(const Matrix& a, const Matrix& b) noexcept {
-  Matrix c{};
-  for (int row = 0; row < n; ++row)
-    for (int k = 0; k < n; ++k)
-      for (int column = 0; column < n; ++column) c[row][column] += a[row][k] * b[k][column];
-  return c;
-}
-
-double norm_squared(const Matrix& a) noexcept {
-  double sum = 0.0;
-  for (const auto& row : a)
-    for (const double x : row) sum += x * x;
-  return sum;
-}
-
-// One column of A: the derivative of the state that is 1 in one place. δ of everything, in the frame that
-// turns at ω; e1 and y as the paper's, w = δv̂_p.
-std::array<double, n> derivative(const LoopModel& m, const Grid& grid, SpaceVector v, SpaceVector i,
-                                 const std::array<double, n>& x) noexcept {
-  const double L = m.converter.L, L_g = grid.L_g;
+// Columns of A: the derivative of the state that is 1 in one place. δ of everything, in the frame that turns
+// at ω; e1 and y as the paper's, w = δv̂_p.
+Matrix linearised(const LoopModel& m, const Grid& grid, SpaceVector v, SpaceVector i) noexcept {
+  const double L = m.converter.L, L_g = grid.L_g, of_sum = 1.0 / (L + L_g);
   const SpaceVector Z_g{grid.R_g, m.converter.omega * L_g};
-  const SpaceVector di{x[0], x[1]}, w{x[2], x[3]}, e1{x[4], x[5]}, y{x[6], x[7]};
-  const SpaceVector e2 = -1.0 * (conj(v) * di + conj(w) * i);                      // eq:xi2_est
-  const SpaceVector minus_u = m.k1 * e1 + m.k2 * e2 + m.k3 * y;                    // eq:u_est
-  const SpaceVector di_dt = (w + L * (minus_u / conj(v)) - Z_g * di) / (L + L_g);  // eq:mu_est, eq:L+Lg di
-  const SpaceVector dv_p = L_g * di_dt + Z_g * di;                                 // eq:vp
-  const SpaceVector dw_dt = m.kappa * (dv_p - w);                                  // eq:dvp_est
-  const double dp = (dv_p * conj(i) + v * conj(di)).re;
-  // eq:xi1_est less its reference, of which |i_r|² moves with |v̂_p|.
-  const SpaceVector de1_dt{L * abs2(i) * (dw_dt / v).re - dp, e2.im};
-  return {di_dt.re, di_dt.im, dw_dt.re, dw_dt.im, de1_dt.re, de1_dt.im, e1.re, e1.im};
+  const SpaceVector L_by_v = L * (SpaceVector{1.0, 0.0} / conj(v)), of_v = SpaceVector{1.0, 0.0} / v;
+  const double weight = L * abs2(i);
+  // Each state in a unit of its own, so that 1/s does not stand beside per unit: e1 is of the order of e2/k2,
+  // y of that of e1/100.
+  const double e1_unit = m.k2 / m.k1, y_unit = e1_unit * 1e-2;
+  const std::array<double, n> unit{1.0, 1.0, 1.0, 1.0, e1_unit, e1_unit, y_unit, y_unit};
+  const std::array<double, n> of_unit{1.0,           1.0,           1.0,          1.0,
+                                      1.0 / e1_unit, 1.0 / e1_unit, 1.0 / y_unit, 1.0 / y_unit};
+  Matrix A;
+  for (int column = 0; column < n; ++column) {
+    std::array<double, n> x{};
+    x[column] = unit[column];
+    const SpaceVector di{x[0], x[1]}, w{x[2], x[3]}, e1{x[4], x[5]}, y{x[6], x[7]};
+    const SpaceVector e2 = -1.0 * (conj(v) * di + conj(w) * i);            // eq:xi2_est
+    const SpaceVector minus_u = m.k1 * e1 + m.k2 * e2 + m.k3 * y;          // eq:u_est
+    const SpaceVector di_dt = of_sum * (w + L_by_v * minus_u - Z_g * di);  // eq:mu_est, eq:L+Lg di
+    const SpaceVector dv_p = L_g * di_dt + Z_g * di;                       // eq:vp
+    const SpaceVector dw_dt = m.kappa * (dv_p - w);                        // eq:dvp_est
+    // eq:xi1_est less its reference, of which |i_r|² moves with |v̂_p|.
+    const double de1_dt = weight * (dw_dt * of_v).re - (dv_p * conj(i) + v * conj(di)).re;
+    const std::array<double, n> derivative{di_dt.re, di_dt.im, dw_dt.re, dw_dt.im,
+                                           de1_dt,   e2.im,    e1.re,    e1.im};
+    for (int row = 0; row < n; ++row) A[row][column] = derivative[row] * of_unit[row];
+  }
+  return A;
 }
 
-// Each state in a unit of its own, so that the norm is not that of 1/s beside per unit: e1 is of the order of
-// e2/k2, y of that of e1/100.
-std::array<double, n> scales(const LoopModel& m) noexcept {
-  const double e1 = m.k2 / m.k1, y = e1 * 1e-2;
-  return {1.0, 1.0, 1.0, 1.0, e1, e1, y, y};
+// By elimination with pivots: similar to A, zero below the subdiagonal.
+void to_hessenberg(Matrix& A) noexcept {
+  for (int m = 1; m < n - 1; ++m) {
+    int pivot = m;
+    for (int row = m + 1; row < n; ++row)
+      if (std::abs(A[row][m - 1]) > std::abs(A[pivot][m - 1])) pivot = row;
+    if (A[pivot][m - 1] == 0.0) continue;
+    if (pivot != m) {
+      std::swap(A[pivot], A[m]);
+      for (auto& row : A) std::swap(row[pivot], row[m]);
+    }
+    const double of_pivot = 1.0 / A[m][m - 1];
+    for (int row = m + 1; row < n; ++row) {
+      const double factor = A[row][m - 1] * of_pivot;
+      if (factor == 0.0) continue;
+      for (int column = m; column < n; ++column) A[row][column] -= factor * A[m][column];
+      for (auto& other : A) other[m] += factor * other[row];
+      A[row][m - 1] = 0.0;
+    }
+  }
+}
+
+// det(s − H) of the leading blocks, each from those before it.
+Polynomial characteristic(const Matrix& H) noexcept {
+  std::array<Polynomial, n + 1> p{};
+  p[0][0] = 1.0;
+  for (int k = 1; k <= n; ++k) {
+    for (int power = 0; power < k; ++power) {
+      p[k][power + 1] += p[k - 1][power];
+      p[k][power] -= H[k - 1][k - 1] * p[k - 1][power];
+    }
+    double below = 1.0;
+    for (int j = k - 1; j > 0; --j) {
+      below *= H[j][j - 1];
+      const double factor = H[j - 1][k - 1] * below;
+      for (int power = 0; power < j; ++power) p[k][power] -= factor * p[j - 1][power];
+    }
+  }
+  return p[n];
 }
 
 }  // namespace
 
-double loop_decay(const LoopModel& model, const Grid& grid, SpaceVector v_p, SpaceVector i,
-                  double enough) noexcept {
-  const std::array<double, n> scale = scales(model);
-  // e^{Ah} by Taylor to the fourth power: |λh| stays below about 1, and what it misses of the fast modes does
-  // not matter as long as they decay.
-  const double h = 1.0 / model.k2;
-  Matrix A{};
-  for (int k = 0; k < n; ++k) {
-    std::array<double, n> unit{};
-    unit[k] = scale[k];
-    const std::array<double, n> column = derivative(model, grid, v_p, i, unit);
-    for (int row = 0; row < n; ++row) A[row][k] = h * column[row] / scale[row];
-  }
-  Matrix M = A;
-  for (auto& row : M)
-    for (double& x : row) x *= 0.25;
-  for (int term = 3; term > 0; --term) {  // Horner: 1 + A(1 + A/2(1 + A/3(1 + A/4)))
-    for (int k = 0; k < n; ++k) M[k][k] += 1.0;
-    M = product(A, M);
-    for (auto& row : M)
-      for (double& x : row) x /= static_cast<double>(term);
-  }
-  for (int k = 0; k < n; ++k) M[k][k] += 1.0;
+LoopPolynomial loop_polynomial(const LoopModel& model, const Grid& grid, SpaceVector v_p,
+                               SpaceVector i) noexcept {
+  LoopPolynomial loop{{}, 1.0 / model.k2};
+  Matrix A = linearised(model, grid, v_p, i);
+  for (auto& row : A)
+    for (double& x : row) x *= loop.unit_s;
+  to_hessenberg(A);
+  loop.coefficients = characteristic(A);
+  return loop;
+}
 
-  // ‖M^m‖ never falls below ρ(M)^m, so the decay read off it is a lower bound, the better the larger m.
-  constexpr int squarings = 14, fewest = 9;
-  constexpr double ln_2 = 0.69314718055994531;
-  double exponent = 0.0;  // log2 of what was divided out
-  double powers = 1.0;
-  for (int k = 1;; ++k) {
-    M = product(M, M);
-    exponent *= 2.0;
-    powers *= 2.0;
-    const double size = norm_squared(M);
-    if (!(size > 0.0) || !(size < std::numeric_limits<double>::infinity()))
-      return size == 0.0 ? model.k2 : -std::numeric_limits<double>::infinity();
-    int shift = 0;
-    const double mantissa = std::frexp(size, &shift);
-    if (k >= fewest) {
-      // log2 ‖M‖ = (shift + log2 m)/2, and log2 m ≤ 2m − 2 + 0.09 for m in [½, 1].
-      const double log2_norm = exponent + 0.5 * (shift + 2.0 * mantissa - 1.91);
-      const double bound = -ln_2 * log2_norm / (powers * h);
-      if (k == squarings || bound >= enough) return bound;
-    }
-    // By a power of two, so that nothing is rounded.
-    const double factor = std::ldexp(1.0, -shift / 2);
-    for (auto& row : M)
-      for (double& x : row) x *= factor;
-    exponent += shift / 2;
+bool decays(const LoopPolynomial& loop, double rate) noexcept {
+  // The polynomial in s − rate: synthetic division, again and again.
+  Polynomial p = loop.coefficients;
+  const double shift = -rate * loop.unit_s;
+  for (int from = 0; from < n; ++from)
+    for (int power = n - 1; power >= from; --power) p[power] += shift * p[power + 1];
+  // Routh: every first entry of a row positive. A row is written over the one two above it.
+  std::array<double, n / 2 + 1> above, below;
+  for (int k = 0; k <= n / 2; ++k) above[k] = p[n - 2 * k];
+  for (int k = 0; k < n / 2; ++k) below[k] = p[n - 2 * k - 1];
+  below[n / 2] = 0.0;
+  for (int row = 1; row <= n; ++row) {
+    if (!(below[0] > 0.0) || !(below[0] < std::numeric_limits<double>::infinity())) return false;
+    const double ratio = above[0] / below[0];
+    for (int k = 0; k < n / 2; ++k) above[k] = above[k + 1] - ratio * below[k + 1];
+    above[n / 2] = 0.0;
+    std::swap(above, below);
   }
+  return true;
+}
+
+double loop_decay(const LoopPolynomial& loop) noexcept {
+  // No mode is larger than the sum of the coefficients; the sum of all decays is the second of them.
+  double size = 1.0;
+  for (int k = 0; k < n; ++k) size += std::abs(loop.coefficients[k]);
+  double low = -size / loop.unit_s, high = loop.coefficients[n - 1] / (n * loop.unit_s);
+  if (!decays(loop, low)) return -std::numeric_limits<double>::infinity();
+  while (high - low > 1e-3) {
+    const double middle = 0.5 * (low + high);
+    if (middle == low || middle == high) break;
+    (decays(loop, middle) ? low : high) = middle;
+  }
+  return low;
 }
 
 }  // namespace weakgrid

@@ -3,6 +3,8 @@
 // leaves Re{ĩ e_vp} out as an input.
 #pragma once
 
+#include <array>
+
 #include "plant/model.hpp"
 
 namespace weakgrid {
@@ -14,12 +16,22 @@ struct LoopModel {
   double kappa = 92.0;                  ///< κ_r of the notch, 1/s
 };
 
-/// A lower bound, in 1/s, of the decay rate of the slowest mode of (i, v̂_p, ê_ξ1, ŷ), eight real states,
-/// at the steady state (v_p, i) on this grid, to within rounding and 0.1/s; at most 4/s below it. Negative:
-/// it grows. Bounded, heap-free,
-/// + − × ÷ only. NaN or infinite inputs: −∞.
-/// Stops as soon as it has shown `enough`: then the bound may be that far below.
-double loop_decay(const LoopModel& model, const Grid& grid, SpaceVector v_p, SpaceVector i,
-                  double enough = 1e300) noexcept;
+/// Of (i, v̂_p, ê_ξ1, ŷ), eight real states, linearised: the coefficients of its characteristic polynomial,
+/// [k] of s^k, [8] = 1, with time in units of `unit_s`. Not finite if an input was not.
+struct LoopPolynomial {
+  std::array<double, 9> coefficients;
+  double unit_s;
+};
+
+/// At the steady state (v_p, i) on this grid.
+LoopPolynomial loop_polynomial(const LoopModel& model, const Grid& grid, SpaceVector v_p,
+                               SpaceVector i) noexcept;
+
+/// Every mode decays faster than `rate`, in 1/s: Routh–Hurwitz. False where it is not finite.
+bool decays(const LoopPolynomial& loop, double rate) noexcept;
+
+/// The decay rate of the slowest mode, in 1/s; negative: it grows. Within 1e-3/s below what decays() tells,
+/// and that within 0.1/s of the truth. Bounded, heap-free, + − × ÷ only. −∞ where nothing decays() at all.
+double loop_decay(const LoopPolynomial& loop) noexcept;
 
 }  // namespace weakgrid

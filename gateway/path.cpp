@@ -1,5 +1,5 @@
 // λ, current, lowest |v_p| and v_c are convex: inside at both ends is inside all the way. Upper limits on
-// |v_p| and the bridge voltage are not: halves are looked at until slack outweighs how far it can fall.
+// |v_p| and the bridge voltage are not: halves are looked at until their slack outweighs how far it can fall.
 #include "gateway/path.hpp"
 
 #include <algorithm>
@@ -36,9 +36,8 @@ double slack_range(const GridBox& box, const Converter& c, const Setpoint& from,
 
 std::optional<Setpoint> first_outside(const GridBox& box, const Converter& converter, const Limits& limits,
                                       const Setpoint& from, const Setpoint& to, double tolerance) noexcept {
-  const auto slack_at = [&](double share) { return slack(box, converter, limits, between(from, to, share)); };
-  if (!(slack_at(0.0) >= -tolerance)) return from;
-  if (!(slack_at(1.0) >= -tolerance)) return to;
+  if (!(slack(box, converter, limits, from) >= -tolerance)) return from;
+  if (!(slack(box, converter, limits, to) >= -tolerance)) return to;
   // Depth first, from the beginning on: pieces still to be looked at, each with its depth.
   constexpr int deepest = 20;
   struct Piece {
@@ -50,8 +49,8 @@ std::optional<Setpoint> first_outside(const GridBox& box, const Converter& conve
   for (int looked = 0; count > 0; ++looked) {
     const Piece piece = stack[--count];
     const double middle = piece.at + 0.5 * piece.length;
-    const double here = slack_at(middle);
-    if (here < -tolerance) return between(from, to, middle);
+    const double here = upper_slack(box, converter, limits, between(from, to, middle));
+    if (!(here >= -tolerance)) return between(from, to, middle);
     const double range =
         slack_range(box, converter, between(from, to, piece.at), between(from, to, piece.at + piece.length));
     if (here + tolerance >= 0.5 * range) continue;

@@ -72,6 +72,7 @@ struct Converter {
   double L = 0.02 / (2.0 * pi * 50.0);  ///< filter inductance X_L/ω, seconds
   double C = 4.8e-4;                    ///< DC-link capacitance C_phys·Z_b, seconds
   double mu_max = 0.70710678118654752;  ///< |μ| ≤ 1/√2: space vector modulation
+  friend constexpr bool operator==(const Converter&, const Converter&) = default;
 };
 
 /// Thévenin grid. R_g ≥ 0 and L_g ≥ 0, both may be zero (strong grid).

@@ -50,11 +50,12 @@ BENCHMARK_CAPTURE(decide, anything, -1.2, 1.2, -1.0, 1.0);
 // The larger part of a refusal: what it offers instead.
 void offer(benchmark::State& state, Policy policy) {
   const Arbiter::Configuration c = configuration();
+  AdmissibleArea area;
   std::mt19937_64 bits(1);
   std::uniform_real_distribution<double> p(0.9, 1.3), q(-0.9, -0.3);
   for (auto _ : state)
     benchmark::DoNotOptimize(
-        nearest_admissible(c.box, c.converter, c.limits, {p(bits), q(bits), 1.84}, policy));
+        nearest_admissible(area, c.box, c.converter, c.limits, {p(bits), q(bits), 1.84}, policy));
 }
 
 BENCHMARK_CAPTURE(offer, nearest, Policy::minimum_distance);

@@ -63,9 +63,10 @@ class NearestLaw : public testing::TestWithParam<Policy> {};
 TEST_P(NearestLaw, IsAdmissibleKeepsWhatItPromisesAndNoRasterFindsANearerOne) {
   const Policy policy = GetParam();
   std::uint64_t offered = 0, none = 0, missed = 0;
+  AdmissibleArea area;
   for (std::uint64_t n = 0; n < law_count(1'000); ++n) {
     const Case x = draw(n);
-    const auto found = nearest_admissible(x.box, {}, x.limits, x.wanted, policy);
+    const auto found = nearest_admissible(area, x.box, {}, x.limits, x.wanted, policy);
     if (found) {
       ++offered;
       ASSERT_TRUE(assess(x.box, {}, x.limits, *found).admissible) << n << ": " << x;
@@ -95,10 +96,11 @@ INSTANTIATE_TEST_SUITE_P(Policies, NearestLaw,
                                          Policy::keep_power_factor));
 
 TEST(NearestLaw, AnAdmissibleSetpointIsItsOwnNearest) {
+  AdmissibleArea area;
   for (std::uint64_t n = 0; n < law_count(5'000); ++n) {
     const Case x = draw(n);
     if (!assess(x.box, {}, x.limits, x.wanted).admissible) continue;
-    const auto found = nearest_admissible(x.box, {}, x.limits, x.wanted, Policy::minimum_distance);
+    const auto found = nearest_admissible(area, x.box, {}, x.limits, x.wanted, Policy::minimum_distance);
     ASSERT_TRUE(found && found->p == x.wanted.p && found->q == x.wanted.q && found->v_c == x.wanted.v_c)
         << n << x;
   }

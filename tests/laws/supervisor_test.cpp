@@ -363,6 +363,7 @@ TEST(Supervisor, ARampIsSlowedUntilTheTransientConditionsHold) {
 TEST(Supervisor, TheWholeWayIsInsideOrADetourIsOffered) {
   // A box, two setpoints inside: whatever the checker passes, dense sampling finds inside.
   std::uint64_t passed = 0, left = 0, detours = 0;
+  AdmissibleArea area;
   for (std::uint64_t n = 0; n < law_count(3'000); ++n) {
     LawInput input(n);
     const GridBox box = input.box();
@@ -370,8 +371,8 @@ TEST(Supervisor, TheWholeWayIsInsideOrADetourIsOffered) {
     limits.i_max = 1.5;
     // On the boundary, where a chord may leave.
     Setpoint a = input.setpoint(), b = input.setpoint();
-    a = nearest_admissible(box, {}, limits, a, Policy::minimum_distance).value_or(a);
-    b = nearest_admissible(box, {}, limits, b, Policy::minimum_distance).value_or(b);
+    a = nearest_admissible(area, box, {}, limits, a, Policy::minimum_distance).value_or(a);
+    b = nearest_admissible(area, box, {}, limits, b, Policy::minimum_distance).value_or(b);
     if (slack(box, {}, limits, a) < 0.0 || slack(box, {}, limits, b) < 0.0) continue;
     const auto outside = first_outside(box, {}, limits, a, b);
     double least = 1.0;
