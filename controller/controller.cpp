@@ -204,10 +204,14 @@ void Controller::turn_on() noexcept {
   return mu;
 }
 
-[[gnu::always_inline]] inline void Controller::note_reference(Modulation& out) const noexcept {
+// What nothing waits for, last: the processor does it while the law still divides.
+[[gnu::always_inline]] inline void Controller::finish(const Measurement& m, Modulation& out) noexcept {
   const ReferenceTrack& track = shaper_.state().track;
+  out.measurement_fingerprint = fingerprint(m);
+  out.newest_reference_id = track.newest_id;
   out.reference_id = track.id();
   if (track.fallen_back) out.status |= fallback;
+  last_ = out;
 }
 
 Modulation Controller::step(const Measurement& m) noexcept {
@@ -221,8 +225,6 @@ Modulation Controller::step(const Measurement& m) noexcept {
   Modulation out;
   out.step = m.step;
   out.period_ns = static_cast<std::uint32_t>(configuration_.timing.period_ns);
-  out.newest_reference_id = shaper_.state().track.newest_id;
-  out.measurement_fingerprint = fingerprint(m);
   if (!(m.timing == configuration_.timing)) out.status |= wrong_timing;
   if (!in_range(m)) out.status |= bad_measurement;
   const bool usable = out.status == 0;
@@ -239,8 +241,7 @@ Modulation Controller::step(const Measurement& m) noexcept {
     if (!started_) state_ = {};
     out.mu = state_.command;
     turn_on();
-    note_reference(out);
-    last_ = out;
+    finish(m, out);
     return out;
   }
 
@@ -288,9 +289,8 @@ Modulation Controller::step(const Measurement& m) noexcept {
   state_.mu_before = constants_.turn * (delayed ? state_.mu : mu);
   state_.mu = mu;
   state_.command = constants_.turn * out.mu;
-  note_reference(out);
+  finish(m, out);
   started_ = !m.blocked;
-  last_ = out;
   return out;
 }
 

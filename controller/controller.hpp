@@ -116,7 +116,7 @@ class Controller {
   double next_p_r(const Point& x, double p_i, const ShapedReference& next) const noexcept;
   Point predict(const Point& x, SpaceVector v_p, double p_i, const ShapedReference& next) const noexcept;
   SpaceVector law(const Point& x, const Errors& errors, double dp_r, double dq_r) const noexcept;
-  void note_reference(Modulation& out) const noexcept;
+  void finish(const Measurement& m, Modulation& out) noexcept;
   SpaceVector evaluate(const Measurement& m, SpaceVector v_p, SpaceVector i, bool held) noexcept;
 
   ControllerConfiguration configuration_;

@@ -1,7 +1,10 @@
 // The controller's arithmetic written as one straight function, to measure what its structure costs: filtered
-// law, delay 1, turning hold, instantaneous samples, one reference that stands. Nothing else: no status, no
-// gaps, no ramps. The same operations in the same order as controller.cpp, so its μ has the same bits.
+// law, delay 1, turning hold, instantaneous samples. The references at the sample and at the two after it are
+// given, with their slopes. Nothing else: no status, no gaps, no ramps. The same operations in the same order
+// as controller.cpp, so its μ has the same bits.
 #pragma once
+
+#include <array>
 
 #include "controller/controller.hpp"
 
@@ -9,14 +12,15 @@ namespace weakgrid::bench {
 
 class StraightLaw {
  public:
-  StraightLaw(const ControllerConfiguration& c, const ControllerConstants& k, double q_r, double v_cr,
-              const LawState& state)
-      : c_(c), k_(k), q_r_(q_r), v_cr_(v_cr), s_(state) {}
+  StraightLaw(const ControllerConfiguration& c, const ControllerConstants& k, const LawState& state)
+      : c_(c), k_(k), s_(state) {}
 
   void restore(const LawState& state) noexcept { s_ = state; }
 
   // Not inlined: the controller is not either, whoever calls it.
-  [[gnu::noinline]] SpaceVector step(const Measurement& m) noexcept {
+  [[gnu::noinline]] SpaceVector step(const Measurement& m,
+                                     const std::array<ShapedReference, 3>& references) noexcept {
+    const auto& [now, next, after] = references;
     const double L = c_.converter.L, C = c_.converter.C, omega = c_.converter.omega, T = k_.T;
     const double half_T = 0.5 * T, floor = c_.v_p_hat_min * c_.v_p_hat_min;
     const SpaceVector v_p = m.v_p, i = m.i, mu_in_force = s_.mu;
@@ -24,11 +28,11 @@ class StraightLaw {
     // Notch, and the integrals up to this sample.
     const SpaceVector v_hat = k_.notch.turn * (s_.v_p_hat + k_.notch.intake * (s_.v_p - s_.v_p_hat));
     const double v_hat2 = abs2(v_hat), v_hat2_floored = v_hat2 > floor ? v_hat2 : floor;
-    const double q_error = power(v_hat, i).im - q_r_;
+    const double q_error = power(v_hat, i).im - now.q_r;
     const double eta_error = s_.eta_error + half_T * (s_.q_error + q_error);
-    const double i_r2 = (s_.p_r * s_.p_r + q_r_ * q_r_) / v_hat2_floored;
+    const double i_r2 = (s_.p_r * s_.p_r + now.q_r * now.q_r) / v_hat2_floored;
     const double energy = 0.5 * (L * abs2(i) + C * (m.v_c * m.v_c));
-    const double energy_r = 0.5 * (L * i_r2 + C * (v_cr_ * v_cr_));
+    const double energy_r = 0.5 * (L * i_r2 + C * (now.v_cr * now.v_cr));
     const SpaceVector e1{energy - energy_r, eta_error};
     const SpaceVector y = s_.y + half_T * (s_.e1 + e1);
 
@@ -41,21 +45,22 @@ class StraightLaw {
     v_c = v_c > 0.01 ? v_c : 0.01;
     const SpaceVector v_next = k_.notch.turn * (v_hat + k_.notch.intake * (v_p - v_hat));
     const double v_next2 = abs2(v_next), v_next2_floored = v_next2 > floor ? v_next2 : floor;
-    const double p_r = next_p_r(s_.p_r, v_hat2 * T / L, m.p_i);
+    const double p_r = next_p_r(s_.p_r, v_hat2 * T / L, m.p_i, next);
 
     // The integrals up to there.
-    const double q_error_next = power(v_next, i_next).im - q_r_;
+    const double q_error_next = power(v_next, i_next).im - next.q_r;
     const double eta_error_next = eta_error + half_T * (q_error + q_error_next);
-    const double i_r2_next = (p_r * p_r + q_r_ * q_r_) / v_next2_floored;
+    const double i_r2_next = (p_r * p_r + next.q_r * next.q_r) / v_next2_floored;
     const double energy_next = 0.5 * (L * abs2(i_next) + C * (v_c * v_c));
-    const double energy_r_next = 0.5 * (L * i_r2_next + C * (v_cr_ * v_cr_));
+    const double energy_r_next = 0.5 * (L * i_r2_next + C * (next.v_cr * next.v_cr));
     const SpaceVector e1_next{energy_next - energy_r_next, eta_error_next};
     const SpaceVector y_next = y + half_T * (e1 + e1_next);
 
     // The law, and the limit.
-    const double dp_r = (next_p_r(p_r, v_next2 * T / L, m.p_i) - p_r) / T;
+    const double dp_r = (next_p_r(p_r, v_next2 * T / L, m.p_i, after) - p_r) / T;
+    const double dq_r = (after.q_r - next.q_r) / T;
     const SpaceVector e2{p_r - power(v_next, i_next).re, q_error_next};
-    const SpaceVector u = SpaceVector{dp_r, 0.0} + k_.K.k1 * e1_next + k_.K.k2 * e2 + k_.K.k3 * y_next;
+    const SpaceVector u = SpaceVector{dp_r, -dq_r} + k_.K.k1 * e1_next + k_.K.k2 * e2 + k_.K.k3 * y_next;
     const SpaceVector across_L = (u * v_next) / v_next2_floored + omega * times_j(i_next);
     SpaceVector mu = (v_next + L * across_L) / v_c;
     s_.y = y;
@@ -79,9 +84,10 @@ class StraightLaw {
   }
 
  private:
-  // b = |v̂_p|²·T/L. Controller::next_p_r for a reference that stands.
-  double next_p_r(double p_r_before, double b, double p_i) const noexcept {
-    const double g = b * p_i, delta_p = c_.delta_p;
+  // b = |v̂_p|²·T/L. Controller::next_p_r.
+  double next_p_r(double p_r_before, double b, double p_i, const ShapedReference& r) const noexcept {
+    const double g = b * (p_i - c_.converter.C * (r.dv_cr * r.v_cr)) - k_.T * (r.dq_r * r.q_r);
+    const double delta_p = c_.delta_p;
     const double sign = p_r_before < 0.0 ? -1.0 : 1.0, p_r = sign * p_r_before;
     const double d = p_r * delta_p + sign * g, B = delta_p - p_r + b, discriminant = B * B + 4.0 * d;
     if (d >= 0.0 || (B < 0.0 && discriminant >= 0.0)) {
@@ -95,7 +101,6 @@ class StraightLaw {
 
   ControllerConfiguration c_;
   ControllerConstants k_;
-  double q_r_, v_cr_;
   LawState s_;
 };
 
