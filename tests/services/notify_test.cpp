@@ -65,6 +65,14 @@ class Notify : public testing::Test {
         << service.name << service.socket.words();
   }
 
+  static void expect_to_stop(Managed& service) {
+    EXPECT_EQ(service.socket.count("STOPPING=1"), 0u) << service.name;
+    service.program->send(SIGTERM);
+    EXPECT_EQ(service.program->wait(), 0) << service.name;
+    EXPECT_EQ(service.socket.count("STOPPING=1"), 1u) << service.name << service.socket.words();
+    EXPECT_EQ(service.socket.count("READY=1"), 1u) << service.name;
+  }
+
   static constexpr auto watchdog = 1'000'000us;
   test::Domain domain_;
   std::filesystem::path recording_;
@@ -74,19 +82,35 @@ const std::vector<std::string> services{"plant", "controller", "gateway", "recor
 
 TEST_F(Notify, ReadyOnceItServesAndStoppingOnceItStops) {
   test::Bystander bystander(domain_);
-  for (const std::string& name : services) {
+  std::uint64_t before = 0;
+  for (const std::string name : {"plant", "unit", "controller", "gateway", "recorder"}) {
     const auto service = start(name);
     ASSERT_TRUE(service->socket.hears("READY=1")) << name;
     EXPECT_EQ(service->socket.heard().front().text, "READY=1") << name;
-    EXPECT_TRUE(test::wait_until([&] { return bystander.health(name).has_value(); }))
+    const std::string says = name == "unit" ? "plant" : name;
+    EXPECT_TRUE(test::wait_until([&] { return bystander.health(says, before).has_value(); }))
         << name << bystander.words();
-    EXPECT_EQ(service->socket.count("STOPPING=1"), 0u) << name;
-    service->program->send(SIGTERM);
-    EXPECT_EQ(service->program->wait(), 0) << name;
-    EXPECT_EQ(service->socket.count("STOPPING=1"), 1u) << name << service->socket.words();
-    EXPECT_EQ(service->socket.count("READY=1"), 1u) << name;
+    before = name == "plant" ? bystander.instance("plant") : 0;
+    expect_to_stop(*service);
     EXPECT_EQ(service->socket.count("WATCHDOG=1"), 0u) << name << ": no watchdog is set";
   }
+}
+
+TEST_F(Notify, AReplayerServesAsLongAsItPlays) {
+  {
+    const auto recorder = start("recorder");
+    const auto plant = start("plant"), controller = start("controller");
+    test::Bystander bystander(domain_);
+    for (const char* name : {"plant", "controller"})
+      ASSERT_TRUE(test::wait_until([&] { return bystander.is(name, ServiceState::running); })) << name;
+    for (const auto* service : {&plant, &controller, &recorder}) expect_to_stop(**service);
+  }
+  Managed replayer("replayer", {recording_.string(), "--loop", "--mix", "--domain", domain_.text()},
+                   watchdog);
+  ASSERT_TRUE(replayer.socket.hears("READY=1"));
+  EXPECT_TRUE(test::wait_until([&] { return replayer.socket.count("WATCHDOG=1") >= 3; }))
+      << replayer.socket.words();
+  expect_to_stop(replayer);
 }
 
 TEST_F(Notify, NotReadyWhileItCannotServe) {
@@ -160,6 +184,35 @@ TEST_F(Notify, NotToldWhileATakerStandsNorWhileTheMainLoopDoes) {
   stands_while_held(*controller, taker, test::HeldThread::Where::sending, "");
   const pid_t main = gateway->program->pid();
   stands_while_held(*gateway, main, test::HeldThread::Where::anywhere, "");
+}
+
+// The processes above have their main loop held up too, by what the taker holds. So that this is seen by
+// itself:
+TEST_F(Notify, ATakerThatDoesNotReturnIsNamedAndOneThatDoesIsNot) {
+  Bus bus(domain_.number(), {"127.0.0.1"}, "taker"), other(domain_.number(), {"127.0.0.1"}, "sender");
+  std::atomic<bool> let_go{true};
+  std::atomic<int> taken{0};
+  Reader<Operation> reader(bus, 1u, [&](const Operation&, Arrival) {
+    ++taken;
+    while (!let_go) std::this_thread::sleep_for(1ms);
+  });
+  Writer<Operation> writer(other, 1);
+  ASSERT_TRUE(test::wait_until([&] { return writer.matched() > 0 && reader.matched() > 0; }));
+  const Operation operation{.client = 1, .id = 1, .kind = OperationKind::start, .until_step = 0};
+  ASSERT_TRUE(writer.write(operation));
+  ASSERT_TRUE(test::wait_until([&] { return taken == 1; }));
+  EXPECT_EQ(bus.stuck() + bus.stuck() + bus.stuck(), "") << "nothing is under way";
+
+  let_go = false;
+  std::thread sender([&] { (void)writer.write(operation); });  // within a process the taker is called here
+  const bool is_taken = test::wait_until([&] { return taken == 2; });
+  EXPECT_EQ(bus.stuck(), "") << "it has only just begun";
+  EXPECT_EQ(bus.stuck(), "the taker of weakgrid/operation");
+  EXPECT_EQ(bus.stuck(), "the taker of weakgrid/operation");
+  let_go = true;
+  sender.join();
+  EXPECT_TRUE(is_taken);
+  EXPECT_TRUE(test::wait_until([&] { return bus.stuck().empty(); }));
 }
 
 }  // namespace
