@@ -2,6 +2,7 @@
 #include "services/controller_unit.hpp"
 #include "services/runtime/program.hpp"
 #include "services/runtime/realtime.hpp"
+#include "services/runtime/service_manager.hpp"
 
 int main(int argc, char** argv) {
   using namespace weakgrid;
@@ -12,6 +13,11 @@ int main(int argc, char** argv) {
                        Bus bus = loop_bus(settings, "weakgrid-controller");
                        Controllers controllers(settings, bus);
                        realtime.loop_runs();
-                       while (!stop.wait(std::chrono::milliseconds(5))) controllers.say();
+                       ServiceManager manager({.status = [&] { return controllers.status(); },
+                                               .stuck = {[&] { return bus.stuck(); }}});
+                       while (!stop.wait(std::chrono::milliseconds(5))) {
+                         controllers.say();
+                         manager.tell();
+                       }
                      });
 }

@@ -125,4 +125,10 @@ void Controllers::say() {
     units_[n]->say(measurements_->malformed(served_.first + n) + references_->malformed(served_.first + n));
 }
 
+std::string Controllers::status() const {
+  std::vector<const Health*> said;
+  for (const auto& unit : units_) said.push_back(&unit->said());
+  return one_line(said);
+}
+
 }  // namespace weakgrid

@@ -22,6 +22,7 @@ class ControllerUnit {
   void answer(const Measurement& measurement, const Arrival& from, const Reader<Measurement>& reader);
 
   void say(std::uint64_t malformed);
+  const Health& said() const { return announcer_.said(); }
   void note_end() const;
 
  private:
@@ -54,6 +55,8 @@ class Controllers {
   Controllers(const Settings& settings, Bus& bus);
   ~Controllers();
   void say();
+  /// For the service manager, on the thread that says.
+  std::string status() const;
 
  private:
   ControllerUnit& unit(const Arrival& from) { return *units_[from.unit - served_.first]; }

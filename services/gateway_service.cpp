@@ -13,6 +13,7 @@
 #include "services/gateway_memory.hpp"
 #include "services/runtime/announcer.hpp"
 #include "services/runtime/program.hpp"
+#include "services/runtime/service_manager.hpp"
 
 namespace weakgrid {
 namespace {
@@ -54,6 +55,8 @@ class GatewayUnit {
     say_envelope();
     announcer_.say(health(malformed));
   }
+
+  const Health& said() const { return announcer_.said(); }
 
   // On threads of the bus, as the next two.
   void decide(const Request& request) {
@@ -327,6 +330,11 @@ class Gateways {
     for (std::uint32_t n = 0; n < served_.count; ++n)
       units_[n]->say(requests_->malformed(served_.first + n) + measurements_->malformed(served_.first + n));
   }
+  std::string status() const {
+    std::vector<const Health*> said;
+    for (const auto& unit : units_) said.push_back(&unit->said());
+    return one_line(said);
+  }
 
  private:
   GatewayUnit& unit(const Arrival& from) { return *units_[from.unit - served_.first]; }
@@ -358,6 +366,11 @@ int main(int argc, char** argv) {
                          }
                        Bus bus(settings.unit.domain, settings.dds.interfaces, "weakgrid-gateway");
                        Gateways gateways(settings, journal, bus);
-                       while (!stop.wait(std::chrono::milliseconds(5))) gateways.say();
+                       ServiceManager manager({.status = [&] { return gateways.status(); },
+                                               .stuck = {[&] { return bus.stuck(); }}});
+                       while (!stop.wait(std::chrono::milliseconds(5))) {
+                         gateways.say();  // waits for the thread that decides
+                         manager.tell();
+                       }
                      });
 }

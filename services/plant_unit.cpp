@@ -2,6 +2,7 @@
 #include "services/plant_unit.hpp"
 
 #include <fmt/format.h>
+#include <pthread.h>
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
@@ -52,8 +53,10 @@ void PlantUnit::stop() {
 void PlantUnit::say(std::uint64_t malformed) { announcer_.say(health(malformed), stages_); }
 
 void PlantUnit::run() {
+  pthread_setname_np(pthread_self(), fmt::format("loop {}", unit_).c_str());
   if (pace_ == Pace::realtime) sharpen_timers();
   while (!stopping_) {
+    pulse_.beat();
     hear();
     if (emulator_.step() >= until_) {
       pause();
@@ -136,6 +139,7 @@ std::optional<Modulation> PlantUnit::exchange(const Measurement& measurement) {
   sent_ns_ = monotonic_ns();
   for (std::chrono::nanoseconds waited{0}; patient || waited < patience; waited += resend_after) {
     if (waited.count() > 0 && !patient) resends_.fetch_add(1, std::memory_order_relaxed);
+    pulse_.beat();
     // Before the first answer the time that a peer takes to come is none of the loop's.
     if (patient) sent_ns_ = monotonic_ns();
     if (measurements_.matched() > 0 && answers_->matched() > 0) send(measurement);
@@ -192,6 +196,7 @@ void PlantUnit::pause() {
   state_ = ServiceState::waiting;
   grid_.reset();
   while (!stopping_ && emulator_.step() >= until_) {
+    pulse_.beat();
     // Who is silent for long gives way to another plant: the last word again, now and then.
     if (!wake_.wait_until(monotonic_after(std::chrono::seconds(1))) && last_) send(*last_);
     hear();
@@ -276,6 +281,19 @@ void Plants::say() {
     units_[n]->say(modulations_->malformed(number) + references_->malformed(number) +
                    operations_->malformed(number));
   }
+}
+
+std::string Plants::status() const {
+  std::vector<const Health*> said;
+  for (const auto& unit : units_) said.push_back(&unit->said());
+  return one_line(said);
+}
+
+std::string Plants::stuck() {
+  std::string words;
+  for (std::uint32_t n = 0; n < served_.count; ++n)
+    if (units_[n]->stands()) words = fmt::format("the loop of unit {}", served_.first + n);  // each is asked
+  return words;
 }
 
 }  // namespace weakgrid

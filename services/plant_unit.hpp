@@ -12,6 +12,7 @@
 #include "services/modulation_digest.hpp"
 #include "services/runtime/announcer.hpp"
 #include "services/runtime/mailbox.hpp"
+#include "services/runtime/pulse.hpp"
 #include "services/runtime/semaphore.hpp"
 #include "services/runtime/stage_timings.hpp"
 #include "services/runtime/time_grid.hpp"
@@ -32,6 +33,9 @@ class PlantUnit {
   /// And ends it.
   void stop();
   void say(std::uint64_t malformed);
+  const Health& said() const { return announcer_.said(); }
+  /// Its loop has not gone round since this was asked last; it does within 1 s.
+  bool stands() { return pulse_.stands(); }
 
  private:
   static constexpr std::chrono::milliseconds resend_after{20};
@@ -75,6 +79,7 @@ class PlantUnit {
   Trip logged_trip_ = Trip::none;
 
   Semaphore wake_;
+  Pulse pulse_{Pulse::at_work};
   std::atomic<bool> stopping_{false};
   std::atomic<ServiceState> state_{ServiceState::starting};
   std::atomic<UnitState> unit_state_{UnitState::running};
@@ -110,6 +115,9 @@ class Plants {
   ~Plants();
   void start();
   void say();
+  /// For the service manager, on the thread that says.
+  std::string status() const;
+  std::string stuck();
 
  private:
   PlantUnit& unit(const Arrival& from) { return *units_[from.unit - served_.first]; }

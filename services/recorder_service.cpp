@@ -11,6 +11,7 @@
 #include "services/recording/recorder.hpp"
 #include "services/runtime/announcer.hpp"
 #include "services/runtime/program.hpp"
+#include "services/runtime/service_manager.hpp"
 #include "services/runtime/tap.hpp"
 
 namespace weakgrid {
@@ -94,9 +95,13 @@ class RecorderService {
 
   /// Throws if recording has ended before it should.
   void serve(StopSignal& stop) {
+    ServiceManager manager(
+        {.status = [this] { return one_line({&announcer_.said()}); },
+         .stuck = {[this] { return std::string(recorder_.stands() ? "the writing to the file" : ""); }}});
     while (!stop.wait(std::chrono::milliseconds(20))) {
       announcer_.say(health());
       report();
+      manager.tell();
     }
     // What was sent before the signal is still on its way.
     std::this_thread::sleep_for(std::chrono::milliseconds(50));

@@ -11,6 +11,7 @@
 #include "services/recording/replayer.hpp"
 #include "services/runtime/announcer.hpp"
 #include "services/runtime/program.hpp"
+#include "services/runtime/service_manager.hpp"
 
 namespace weakgrid {
 namespace {
@@ -133,7 +134,11 @@ class ReplayerService {
     const double rate = parse_rate(options_.rate).value();
     Replayer replayer(source_, rate, options_.step, [&](const RawSample& sample, bool in_time) {
       const bool sent = target_.write(sample);
-      if (!in_time) target_.keep_window([&] { return !replayer.is_stopping(); });
+      if (!in_time)
+        target_.keep_window([&] {
+          replayer.waits();
+          return !replayer.is_stopping();
+        });
       return sent;
     });
     if (wait_for_readers(stop)) return;
@@ -166,6 +171,9 @@ class ReplayerService {
   void play(Replayer& replayer, StopSignal& stop) {
     CommandLines lines;
     bool stood = false;
+    ServiceManager manager(
+        {.status = [this] { return one_line({&announcer_->said()}); },
+         .stuck = {[&] { return std::string(replayer.stands_still() ? "the handing out" : ""); }}});
     while (!replayer.has_ended()) {
       if (stop.wait(tick)) replayer.stop();
       if (options_.step || options_.interactive)
@@ -184,6 +192,7 @@ class ReplayerService {
       if (stands && !stood) spdlog::info("{}", standing(replayer));
       stood = stands;
       announcer_->say(health(replayer));
+      manager.tell();
     }
   }
 

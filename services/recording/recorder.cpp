@@ -2,6 +2,7 @@
 #include "services/recording/recorder.hpp"
 
 #include <fmt/format.h>
+#include <pthread.h>
 #include <sys/statvfs.h>
 
 #include <cstring>
@@ -108,7 +109,9 @@ Recorder::Counters Recorder::counters() const {
 }
 
 void Recorder::run() {
+  pthread_setname_np(pthread_self(), "writer");
   while (!closing_) {
+    pulse_.beat();
     const bool more = drain();
     tick(Clock::now());
     if (!more) std::this_thread::sleep_for(poll_every);

@@ -16,6 +16,7 @@
 #include "services/recording/ring.hpp"
 #include "services/recording/sequence_map.hpp"
 #include "services/runtime/payload.hpp"
+#include "services/runtime/pulse.hpp"
 
 namespace weakgrid {
 
@@ -71,6 +72,8 @@ class Recorder {
   bool waits_for_trip() const { return !triggered_.load(); }
   /// Why nothing is recorded any more, though close() has not been called; empty while all is well.
   std::string stopped() const;
+  /// The thread that writes has not moved since this was asked last: a disk that does not answer.
+  bool stands() { return pulse_.stands(); }
 
  private:
   using Clock = std::chrono::steady_clock;
@@ -121,6 +124,7 @@ class Recorder {
   std::deque<SourceWriter> new_writers_;
   std::string stopped_;
   std::atomic<bool> closing_{false}, triggered_;
+  Pulse pulse_{Pulse::at_work};
   std::atomic<std::uint64_t> messages_{0}, bytes_{0}, missing_{0}, refused_{0}, after_stop_{0}, parts_{0};
   std::atomic<std::uint64_t> writer_count_{0}, file_bytes_{0};
 

@@ -119,6 +119,7 @@ void Replayer::play() {
   // The default slack of 50 us would be added to every wait.
   prctl(PR_SET_TIMERSLACK, 1);
   while (!stopping_) {
+    pulse_.beat();
     const bool all_read = all_read_;  // asked before the ring: what was put before that is in it
     const auto sample = ring_.front();
     if (!sample) {
@@ -155,6 +156,7 @@ std::int64_t Replayer::due_ns(std::int64_t at_ns) {
 
 bool Replayer::wait_until_due(const RawSample& sample, std::int64_t& due) {
   while (!stopping_) {
+    pulse_.beat();
     due = due_ns(sample.reception_ns);
     const std::int64_t now = clock_ns();
     if (due <= now) return true;

@@ -12,6 +12,7 @@
 #include "services/recording/replay_source.hpp"
 #include "services/recording/ring.hpp"
 #include "services/runtime/duration_histogram.hpp"
+#include "services/runtime/pulse.hpp"
 
 namespace weakgrid {
 
@@ -42,6 +43,10 @@ class Replayer {
   void end();
   bool is_stopping() const { return stopping_; }
   void command(const ReplayCommand& command);
+  /// Within publish: it waits for somebody, and that is all right.
+  void waits() noexcept { pulse_.beat(); }
+  /// The thread that hands out has not moved since this was asked last.
+  bool stands_still() { return pulse_.stands(); }
 
   bool has_ended() const { return ended_; }
   bool is_paused() const;
@@ -67,6 +72,7 @@ class Replayer {
   ReplaySource& source_;
   const Publish publish_;
   SampleRing ring_;
+  Pulse pulse_{Pulse::at_work};
   std::atomic<bool> stopping_{false}, all_read_{false}, ended_{false};
   std::atomic<std::uint64_t> messages_{0}, bytes_{0}, late_{0}, unsent_{0};
   std::string fault_;  // written before all_read_

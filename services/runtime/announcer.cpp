@@ -1,6 +1,7 @@
 // Announcer: see the header.
 #include "services/runtime/announcer.hpp"
 
+#include <map>
 #include <random>
 
 #include "services/runtime/sha256.hpp"
@@ -44,6 +45,16 @@ std::string digest_of(std::uint32_t unit, const Manifest& manifest) {
 
 std::string name_in_log(const Settings& settings) {
   return settings.unit.count > 1 ? "unit " + std::to_string(settings.unit.number) + ": " : "";
+}
+
+std::string one_line(const std::vector<const Health*>& units) {
+  std::map<std::string, std::size_t> counts;
+  for (const Health* unit : units) ++counts[unit->text.empty() ? name(unit->state) : unit->text];
+  if (counts.size() == 1) return counts.begin()->first;
+  std::string line;
+  for (const auto& [words, count] : counts)
+    line += (line.empty() ? "" : ", ") + std::to_string(count) + " " + words;
+  return line;
 }
 
 bool is_announced(const std::string& topic) {

@@ -25,6 +25,9 @@ std::string digest_of(std::uint32_t unit, const Manifest& manifest);
 /// What a unit's lines in the log begin with: nothing where it is its process's only one.
 std::string name_in_log(const Settings& settings);
 
+/// What units are at, in one line: "running", or "3 running, 1 tripped: overcurrent at step 12".
+std::string one_line(const std::vector<const Health*>& units);
+
 /// A topic that an Announcer writes, and so every program.
 bool is_announced(const std::string& topic);
 
@@ -37,6 +40,9 @@ class Announcer {
   /// Fills in service, instance and time; writes what differs from the last word in more than step and
   /// counters, or in a step that stands still between two calls, or is a second old.
   void say(Health health, std::span<const Stage> stages = {}) noexcept;
+
+  /// What it has said last; of the thread that says it.
+  const Health& said() const { return last_; }
 
  private:
   Writer<Health> health_;

@@ -15,6 +15,7 @@
 #include <fastdds/dds/topic/TypeSupport.hpp>
 
 #include "services/runtime/participant.hpp"
+#include "services/runtime/pulse.hpp"
 #include "services/runtime/qos.hpp"
 #include "services/runtime/wire.hpp"
 
@@ -49,6 +50,7 @@ struct Bus::Impl {
   dds::Publisher* publisher = nullptr;
   dds::Subscriber* subscriber = nullptr;
   LoopTransport loop = LoopTransport::udp;
+  std::vector<std::pair<const char*, Pulse*>> readers;
 
   template <class Message>
   dds::Topic* topic() {
@@ -77,6 +79,13 @@ Bus::Bus(std::uint32_t domain, const std::vector<std::string>& interfaces, const
 Bus::~Bus() {
   impl_->participant->delete_contained_entities();
   dds::DomainParticipantFactory::get_instance()->delete_participant(impl_->participant);
+}
+
+std::string Bus::stuck() {
+  std::string topic;
+  for (const auto& [name, pulse] : impl_->readers)
+    if (pulse->stands()) topic = std::string("the taker of ") + name;  // every one is asked
+  return topic;
 }
 
 template <class Message>
@@ -141,9 +150,13 @@ struct Reader<Message>::Impl : dds::DataReaderListener {
   std::array<std::atomic<WriterId>, max_writers> alive{};
   std::atomic<int> matched{0};
   std::vector<std::atomic<std::uint64_t>> malformed;  // of each unit
+  Bus::Impl* bus = nullptr;
+  Pulse pulse;
 
   void on_data_available(dds::DataReader* from) override {
+    const Working working(pulse);
     while (from->take_next_sample(&wire, &info) == ReturnCode_t::RETCODE_OK) {
+      pulse.beat();
       const std::uint32_t index = wire.unit() - units.first;
       if (!info.valid_data || index >= units.count) continue;
       if (decode(wire, message))
@@ -177,10 +190,13 @@ Reader<Message>::Reader(Bus& bus, Units units, Take take) : impl_(std::make_uniq
                                                             dds::StatusMask::data_available()
                                                                 << dds::StatusMask::subscription_matched()),
                        std::string("reader of ") + Topic<Message>::name);
+  impl_->bus = &bus.impl();
+  impl_->bus->readers.emplace_back(Topic<Message>::name, &impl_->pulse);
 }
 
 template <class Message>
 Reader<Message>::~Reader() {
+  std::erase_if(impl_->bus->readers, [this](const auto& reader) { return reader.second == &impl_->pulse; });
   impl_->reader->set_listener(nullptr);
   impl_->subscriber->delete_datareader(impl_->reader);
 }

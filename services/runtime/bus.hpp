@@ -47,6 +47,10 @@ class Bus {
   Bus(const Bus&) = delete;
   Bus& operator=(const Bus&) = delete;
 
+  /// In words, a reader whose taker has been at one message since this was asked last; empty: none.
+  /// From the thread that makes the readers.
+  std::string stuck();
+
   struct Impl;
   Impl& impl() { return *impl_; }
 

@@ -11,7 +11,8 @@
 #include <cstdio>
 #include <limits>
 
-#include "services/runtime/bus.hpp"
+#include "services/runtime/announcer.hpp"
+#include "services/runtime/service_manager.hpp"
 
 namespace weakgrid {
 
@@ -37,6 +38,7 @@ bool StopSignal::wait(std::chrono::milliseconds patience) {
   const sigset_t set = stop_signals();
   const timespec timeout{.tv_sec = patience.count() / 1000, .tv_nsec = patience.count() % 1000 * 1'000'000};
   stopped_ = sigtimedwait(&set, nullptr, &timeout) > 0;
+  if (stopped_) tell_of_stopping();
   return stopped_;
 }
 
@@ -67,6 +69,7 @@ int run_service(int argc, char** argv, const std::string& name, const std::strin
   std::string level = "info";
   std::optional<std::uint32_t> domain, unit;
   std::uint64_t instance = 0;
+  app.set_version_flag("--version", build_text());
   app.add_option("--settings", file, "settings or scenario file, TOML; without it, all defaults");
   app.add_option("--domain", domain, "DDS domain, instead of the file's")->check(CLI::Range(0, 230));
   app.add_option("--unit", unit, "unit number, instead of the file's")->check(CLI::Range(1u, 4294967232u));

@@ -50,6 +50,7 @@ class Program {
   /// kill -9, and gone.
   void kill();
 
+  pid_t pid() const { return pid_; }
   /// It holds this signal back to take it in its own time.
   bool blocks(int signal) const;
   /// The processes that it has started and not yet reaped.
