@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 namespace weakgrid {
 
@@ -100,30 +101,25 @@ void AdmissibleArea::trace(SpaceVector from, SpaceVector to) noexcept {
   }
 }
 
-// Some admissible point of an area that lies between the lines of the raster: uphill in slack, from the
-// middle and around.
-std::optional<SpaceVector> AdmissibleArea::uphill(double reach) const noexcept {
+// Some admissible point of an area that lies between the lines of the raster: uphill in slack.
+std::optional<SpaceVector> AdmissibleArea::uphill(SpaceVector here, double step) const noexcept {
   constexpr int directions = 8, moves_max = 400;
   const SpaceVector part = unit_phasor(2.0 * pi / directions);
-  SpaceVector start_along{1.0, 0.0};
-  for (int start = 0; start <= directions; ++start, start_along = part * start_along) {
-    SpaceVector here = start == 0 ? SpaceVector{} : (0.5 * reach) * start_along;
-    double slack_here = slack_at(here);
-    double h = 0.25 * reach;
-    for (int moves = 0; moves < moves_max && h > 1e-7 * reach; ++moves) {
-      if (slack_here >= 0.0) return here;
-      bool moved = false;
-      SpaceVector along{1.0, 0.0};
-      for (int k = 0; k < directions; ++k, along = part * along) {
-        const SpaceVector there = here + h * along;
-        const double slack_there = slack_at(there);
-        if (!(slack_there > slack_here)) continue;
-        here = there;
-        slack_here = slack_there;
-        moved = true;
-      }
-      if (!moved) h *= 0.5;
+  const double finest = 1e-6 * step;
+  double slack_here = slack_at(here);
+  for (int moves = 0; moves < moves_max && step > finest; ++moves) {
+    if (slack_here >= 0.0) return here;
+    bool moved = false;
+    SpaceVector along{1.0, 0.0};
+    for (int k = 0; k < directions; ++k, along = part * along) {
+      const SpaceVector there = here + step * along;
+      const double slack_there = slack_at(there);
+      if (!(slack_there > slack_here)) continue;
+      here = there;
+      slack_here = slack_there;
+      moved = true;
     }
+    if (!moved) step *= 0.5;
   }
   return std::nullopt;
 }
@@ -135,23 +131,39 @@ AdmissibleArea::AdmissibleArea(const GridBox& box, const Converter& converter, c
   const double Z_g = abs(SpaceVector{box.R_g.high, converter.omega * box.L_g.high});
   const double reach = 1.02 * limits.i_max * std::min(limits.v_p_max, box.V.high + Z_g * limits.i_max);
   if (!(reach < 1e6)) return;
-  trace_around({}, reach);
+  const SpaceVector highest = trace_around({}, reach);
   if (count_ > 0) return;
-  if (const auto inside = uphill(reach))
-    for (double half = reach / 4.0; count_ == 0 && half > 1e-7 * reach; half *= 0.25)
-      trace_around(*inside, half);
+  // From the highest point of the raster, and from around.
+  std::optional<SpaceVector> inside = uphill(highest, 2.0 * reach / squares);
+  const SpaceVector part = unit_phasor(0.25 * pi);
+  SpaceVector start{0.5 * reach, 0.0};
+  for (int k = 0; k < 8 && !inside; ++k, start = part * start) inside = uphill(start, 0.25 * reach);
+  if (!inside) return;
+  for (double half = reach / 4.0; count_ == 0 && half > 1e-7 * reach; half *= 0.25)
+    (void)trace_around(*inside, half);
 }
 
-void AdmissibleArea::trace_around(SpaceVector centre, double half) noexcept {
+// Gives the point of the raster where slack is highest.
+SpaceVector AdmissibleArea::trace_around(SpaceVector centre, double half) noexcept {
   const double size = 2.0 * half / squares;
   const auto at = [&](int column, int row) {
     return centre + SpaceVector{column * size - half, row * size - half};
   };
+  SpaceVector highest = centre;
+  double slack_highest = -std::numeric_limits<double>::infinity();
   std::array<double, squares + 1> below, above;  // slack along two lines of the raster
-  for (int column = 0; column <= squares; ++column) above[column] = slack_at(at(column, 0));
+  const auto look_along = [&](int row) {
+    for (int column = 0; column <= squares; ++column) {
+      above[column] = slack_at(at(column, row));
+      if (!(above[column] > slack_highest)) continue;
+      slack_highest = above[column];
+      highest = at(column, row);
+    }
+  };
+  look_along(0);
   for (int row = 0; row < squares; ++row) {
     below = above;
-    for (int column = 0; column <= squares; ++column) above[column] = slack_at(at(column, row + 1));
+    look_along(row + 1);
     for (int column = 0; column < squares; ++column) {
       // Corners in turn, anticlockwise; the boundary enters where inside turns to outside.
       const std::array<SpaceVector, 4> corner{at(column, row), at(column + 1, row), at(column + 1, row + 1),
@@ -175,6 +187,7 @@ void AdmissibleArea::trace_around(SpaceVector centre, double half) noexcept {
       }
     }
   }
+  return highest;
 }
 
 // The slope of the boundary against a direction, from how slack changes along and across.

@@ -52,8 +52,8 @@ class AdmissibleArea {
   std::optional<Beside> quickly_beside(const Piece& piece, SpaceVector along, double length,
                                        double share) const noexcept;
   bool is_traced() const noexcept { return count_ > 0 && count_ <= piece_max; }
-  std::optional<SpaceVector> uphill(double reach) const noexcept;
-  void trace_around(SpaceVector centre, double half) noexcept;
+  std::optional<SpaceVector> uphill(SpaceVector here, double step) const noexcept;
+  SpaceVector trace_around(SpaceVector centre, double half) noexcept;
   void trace(SpaceVector from, SpaceVector to) noexcept;
   template <class Ahead, class Done>
   std::optional<SpaceVector> turning_point(const Piece& piece, const Ahead& ahead,
