@@ -10,7 +10,7 @@ int main(int argc, char** argv) {
                      "Answers each sample of its units' plants with a modulation: the filtered flatness law.",
                      {}, [](const Settings& settings, StopSignal& stop) {
                        RealtimeSetup realtime(settings);  // the bus inherits it
-                       Bus bus = loop_bus(settings, "weakgrid-controller");
+                       Bus bus(settings.unit.domain, settings.dds, Role::controller);
                        Controllers controllers(settings, bus);
                        realtime.loop_runs();
                        ServiceManager manager({.status = [&] { return controllers.status(); },

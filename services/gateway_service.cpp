@@ -364,7 +364,7 @@ int main(int argc, char** argv) {
                          } catch (const std::runtime_error&) {
                            if (patience == 0 || stop.wait(std::chrono::milliseconds(100))) throw;
                          }
-                       Bus bus(settings.unit.domain, settings.dds.interfaces, "weakgrid-gateway");
+                       Bus bus(settings.unit.domain, settings.dds, Role::gateway);
                        Gateways gateways(settings, journal, bus);
                        ServiceManager manager({.status = [&] { return gateways.status(); },
                                                .stuck = {[&] { return bus.stuck(); }}});

@@ -19,7 +19,7 @@ int main(int argc, char** argv) {
       {{"--until", "wait at this step for an operation; default: go on for ever", &until}},
       [&](const Settings& settings, StopSignal& stop) {
         RealtimeSetup realtime(settings);  // bus and loops inherit it
-        Bus bus = loop_bus(settings, "weakgrid-plant");
+        Bus bus(settings.unit.domain, settings.dds, Role::plant);
         Plants plants(settings, until.value_or(std::numeric_limits<std::uint64_t>::max()), bus);
         plants.start();
         realtime.loop_runs();

@@ -80,11 +80,11 @@ class RecorderService {
       : awaited_(options.awaited),
         before_s_(options.recorder.before_s),
         recorder_(recorder_options(options, settings)),
-        bus_(settings.unit.domain, settings.dds.interfaces, "weakgrid-recorder"),
+        bus_(settings.unit.domain, settings.dds, Role::recorder),
         announcer_(bus_, settings, "recorder", {}),
         tap_(std::make_unique<Tap>(
             Tap::Options{.domain = settings.unit.domain,
-                         .interfaces = settings.dds.interfaces,
+                         .dds = settings.dds,
                          .filter = options.filter,
                          .writers_max = options.recorder.writers_max},
             [this](const SourceWriter& w) {

@@ -91,7 +91,7 @@ void add(CLI::App& app, Options& o) {
       app.get_option("--domain")
           ->description("DDS domain to write into, instead of the recorded one + 100 (- 100 beyond 229)");
   o.unit = app.get_option("--unit")->description("unit of its own health, instead of the recorded one");
-  o.settings = app.get_option("--settings")->description("settings file, TOML: of it the interfaces count");
+  o.settings = app.get_option("--settings")->description("settings file, TOML: of it [dds] counts");
   app.footer(
       "Example: weakgrid-replayer run.mcap --rate 0.5 --exclude 'weakgrid/health'\n"
       "Refuses a domain where others write a topic that is replayed, unless --mix. Health and manifest of\n"
@@ -120,7 +120,7 @@ class ReplayerService {
       : options_(options),
         source_(source),
         domain_(settings.unit.domain),
-        target_(domain_, settings.dds.interfaces),
+        target_(domain_, settings.dds),
         settings_(settings) {}
 
   void serve(StopSignal& stop) {
@@ -129,7 +129,7 @@ class ReplayerService {
       target_.refuse_company(source_.writers());
     }
     target_.make_writers(source_.writers());
-    bus_.emplace(domain_, settings_.dds.interfaces, "weakgrid-replayer");
+    bus_.emplace(domain_, settings_.dds, Role::replayer);
     announcer_.emplace(*bus_, settings_, "replayer", std::vector<Constant>{});
     const double rate = parse_rate(options_.rate).value();
     Replayer replayer(source_, rate, options_.step, [&](const RawSample& sample, bool in_time) {

@@ -17,7 +17,7 @@ int main(int argc, char** argv) {
       {{"--until", "wait at this step for an operation; default: go on for ever", &until}},
       [&](const Settings& settings, StopSignal& stop) {
         RealtimeSetup realtime(settings);
-        Bus bus = loop_bus(settings, "weakgrid-unit");
+        Bus bus(settings.unit.domain, settings.dds, Role::unit);
         Controllers controllers(settings, bus);
         Plants plants(settings, until.value_or(std::numeric_limits<std::uint64_t>::max()), bus);
         plants.start();

@@ -127,7 +127,7 @@ int ask(Client& client, const Settings& settings, const Asking& asking, Request 
 
 int ask(const Asking& asking, Request request) {
   const Settings settings = asking.where.settings();
-  Client client(settings.unit.domain, settings.unit.number, settings.dds.interfaces);
+  Client client(settings.unit.domain, settings.unit.number, settings.dds);
   return ask(client, settings, asking, request);
 }
 

@@ -6,9 +6,9 @@
 
 namespace weakgrid {
 
-Client::Client(std::uint32_t domain, std::uint32_t unit, const std::vector<std::string>& interfaces)
+Client::Client(std::uint32_t domain, std::uint32_t unit, const DdsSettings& dds)
     : identity_(random_identity()),
-      bus_(domain, interfaces, "weakgrid"),
+      bus_(domain, dds, Role::client),
       health_reader_(bus_, unit,
                      [this](const Health& health, Arrival) {
                        const std::lock_guard lock(mutex_);

@@ -18,7 +18,7 @@ using Patience = std::chrono::milliseconds;
 
 class Client {
  public:
-  Client(std::uint32_t domain, std::uint32_t unit, const std::vector<std::string>& interfaces);
+  Client(std::uint32_t domain, std::uint32_t unit, const DdsSettings& dds);
   /// Waits a moment until whoever listens, a recorder too, has what was asked.
   ~Client();
 

@@ -69,7 +69,7 @@ class Measurements {
 
   // Nobody's loop shall meet this one.
   void expect_nobody() {
-    Client client(settings_.unit.domain, settings_.unit.number, settings_.dds.interfaces);
+    Client client(settings_.unit.domain, settings_.unit.number, settings_.dds);
     const bool in_use = client.wait_for(Patience(1500), [](const Client::Peers& peers) {
       return std::any_of(peers.begin(), peers.end(),
                          [](const auto& peer) { return peer.second.state != ServiceState::stopped; });
@@ -188,7 +188,7 @@ class Measurements {
     Processes processes;
     for (const char* program : {"weakgrid-controller", "weakgrid-plant"})
       processes.start(program, {"--settings", file.path(), "--log", "error"});
-    Client client(settings.unit.domain, settings.unit.number, settings.dds.interfaces);
+    Client client(settings.unit.domain, settings.unit.number, settings.dds);
     meet([&] {
       if (const std::string name = processes.ended(); !name.empty())
         throw std::runtime_error(name + " has ended by itself; its reason is above");

@@ -17,7 +17,7 @@ Settings Where::settings() const {
 
 void add_where(CLI::App& command, Where& where) {
   command.add_option("--settings", where.file,
-                     "the unit's settings file, for its domain, number and interfaces");
+                     "the unit's settings file, for its domain, number and [dds]");
   command.add_option("--domain", where.domain, "DDS domain (default: of the settings, else 0)")
       ->check(CLI::Range(0, 230));
   command.add_option("--unit", where.unit, "unit number (default: of the settings, else 1)")

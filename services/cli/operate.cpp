@@ -77,7 +77,7 @@ Command add_operate(CLI::App& app) {
       "Exit: 0 done, 1 rejected, 2 bad usage, 3 nobody answers or follows.");
   return [options] {
     const Settings settings = options->asking.where.settings();
-    Client client(settings.unit.domain, settings.unit.number, settings.dds.interfaces);
+    Client client(settings.unit.domain, settings.unit.number, settings.dds);
     Request request;
     if (options->start->parsed())
       request.kind = RequestKind::start;

@@ -47,7 +47,7 @@ class Conductor {
         recorder_(recorder),
         stop_(stop),
         mine_(std::move(mine)),
-        client_(settings.unit.domain, settings.unit.number, settings.dds.interfaces),
+        client_(settings.unit.domain, settings.unit.number, settings.dds),
         record_(settings),
         measurements_(client_.bus(), settings.unit.number,
                       [this](const Measurement& m, Arrival) {

@@ -66,7 +66,7 @@ Command add_schedule(CLI::App& app) {
     StopSignal stop;
     const std::vector<TimedSetpoint> setpoints = load_schedule(options->file);
     const Settings settings = options->where.settings();
-    Client client(settings.unit.domain, settings.unit.number, settings.dds.interfaces);
+    Client client(settings.unit.domain, settings.unit.number, settings.dds);
     if (!client.wait_for("gateway", long_enough,
                          [](const Health& h) { return h.state == ServiceState::running; }))
       throw std::runtime_error(fmt::format("no gateway of unit {} in domain {}; is weakgrid-gateway running?",

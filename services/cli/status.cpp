@@ -71,7 +71,7 @@ Command add_status(CLI::App& app) {
       "Exit: 0 plant, controller and gateway run, 1 one is missing or tripped, 2 bad usage.");
   return [options] {
     const Settings settings = options->where.settings();
-    Client client(settings.unit.domain, settings.unit.number, settings.dds.interfaces);
+    Client client(settings.unit.domain, settings.unit.number, settings.dds);
     std::mutex mutex;
     std::optional<Measurement> last;
     const Reader<Measurement> reader(client.bus(), settings.unit.number, [&](const Measurement& m, Arrival) {

@@ -58,7 +58,7 @@ Command add_watch(CLI::App& app) {
   return [options] {
     StopSignal stop;
     const Settings settings = options->where.settings();
-    Client client(settings.unit.domain, settings.unit.number, settings.dds.interfaces);
+    Client client(settings.unit.domain, settings.unit.number, settings.dds);
     std::mutex mutex;
     std::optional<Measurement> last;
     std::vector<Decision> decisions;

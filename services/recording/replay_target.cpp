@@ -34,8 +34,8 @@ std::uint32_t strength_of(const std::string& qos_full) {
 
 }  // namespace
 
-ReplayTarget::ReplayTarget(std::uint32_t domain, const std::vector<std::string>& interfaces)
-    : domain_(domain), bus_(domain, interfaces, "weakgrid-replayer") {}
+ReplayTarget::ReplayTarget(std::uint32_t domain, const DdsSettings& dds)
+    : domain_(domain), bus_(domain, dds) {}
 
 void ReplayTarget::refuse_company(const std::vector<SourceWriter>& replayed) const {
   const auto live = bus_.writers_of_others();

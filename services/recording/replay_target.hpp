@@ -17,7 +17,7 @@ class ReplayTarget {
   using GoesOn = std::function<bool()>;
 
   /// Throws BusError, as make_writers().
-  ReplayTarget(std::uint32_t domain, const std::vector<std::string>& interfaces);
+  ReplayTarget(std::uint32_t domain, const DdsSettings& dds);
 
   /// Throws if somebody writes what these do, as far as discovery has come.
   void refuse_company(const std::vector<SourceWriter>& replayed) const;

@@ -39,7 +39,7 @@ WriterId writer_id(const dds::InstanceHandle_t& handle) {
 
 template <class Pointer>
 Pointer* made(Pointer* entity, const std::string& what) {
-  if (entity == nullptr) throw BusError("DDS: " + what + " cannot be made");
+  if (entity == nullptr) throw BusError("DDS: " + what + " cannot be made" + reason());
   return entity;
 }
 
@@ -64,14 +64,9 @@ struct Bus::Impl {
   }
 };
 
-Bus::Bus(std::uint32_t domain, const std::vector<std::string>& interfaces, const std::string& name,
-         LoopTransport loop)
-    : impl_(std::make_unique<Impl>()) {
-  impl_->loop = loop;
-  const dds::DomainParticipantQos qos = participant_qos(name, interfaces);
-  auto* factory = dds::DomainParticipantFactory::get_instance();
-  impl_->participant =
-      made(factory->create_participant(domain, qos), "participant in domain " + std::to_string(domain));
+Bus::Bus(std::uint32_t domain, const DdsSettings& dds, Role role) : impl_(std::make_unique<Impl>()) {
+  if (is_of_loop(role)) impl_->loop = dds.loop;
+  impl_->participant = make_participant(domain, dds, role);
   impl_->publisher = made(impl_->participant->create_publisher(dds::PUBLISHER_QOS_DEFAULT), "publisher");
   impl_->subscriber = made(impl_->participant->create_subscriber(dds::SUBSCRIBER_QOS_DEFAULT), "subscriber");
 }

@@ -11,6 +11,7 @@
 #include <string>
 #include <vector>
 
+#include "services/runtime/role.hpp"
 #include "services/runtime/settings.hpp"
 
 namespace weakgrid {
@@ -37,12 +38,12 @@ struct Units {
   Units(std::uint32_t first_number, std::uint32_t how_many) : first(first_number), count(how_many) {}
 };
 
-/// One DDS participant: UDPv4 alone, on the interfaces given.
-/// Its threads have the signal mask and scheduling of the thread that makes it. Throws BusError.
+/// One DDS participant: UDPv4 alone, on the interfaces given; with security under the identity of its role.
+/// Its threads have the signal mask and scheduling of the thread that makes it. Throws BusError; SettingsError
+/// for an interface that is not there or a file of the security's folder.
 class Bus {
  public:
-  Bus(std::uint32_t domain, const std::vector<std::string>& interfaces, const std::string& name,
-      LoopTransport loop = LoopTransport::udp);
+  Bus(std::uint32_t domain, const DdsSettings& dds, Role role);
   ~Bus();
   Bus(const Bus&) = delete;
   Bus& operator=(const Bus&) = delete;
@@ -57,11 +58,6 @@ class Bus {
  private:
   std::unique_ptr<Impl> impl_;
 };
-
-/// The bus of a process that takes part in the loop.
-inline Bus loop_bus(const Settings& settings, const std::string& name) {
-  return Bus(settings.unit.domain, settings.dds.interfaces, name, settings.dds.loop);
-}
 
 /// Writes one unit's messages of one topic. From one thread at a time.
 template <class Message>

@@ -25,10 +25,8 @@ namespace {
 // Writes Out and takes In, each as it comes, from listen() to close().
 template <class Out, class In>
 struct End : dds::DataReaderListener {
-  End(const Settings& settings, const char* out_topic, const char* in_topic) {
-    const dds::DomainParticipantQos qos = participant_qos("weakgrid-latency", settings.dds.interfaces);
-    auto* factory = dds::DomainParticipantFactory::get_instance();
-    participant = made(factory->create_participant(settings.unit.domain, qos), "participant");
+  End(const Settings& settings, Role role, const char* out_topic, const char* in_topic)
+      : participant(make_participant(settings.unit.domain, settings.dds, role)) {
     dds::DataWriterQos writer_qos;
     apply<Out>(false, settings.dds.loop, writer_qos);
     writer_qos.publish_mode().kind = dds::SYNCHRONOUS_PUBLISH_MODE;
@@ -51,7 +49,7 @@ struct End : dds::DataReaderListener {
 
   template <class Pointer>
   static Pointer* made(Pointer* entity, const std::string& what) {
-    if (entity == nullptr) throw BusError("DDS: " + what + " cannot be made");
+    if (entity == nullptr) throw BusError("DDS: " + what + " cannot be made" + reason());
     return entity;
   }
   template <class Message>
@@ -88,7 +86,9 @@ struct End : dds::DataReaderListener {
 }  // namespace
 
 struct Ping::Impl : End<Measurement, Modulation> {
-  explicit Impl(const Settings& settings) : End(settings, "weakgrid/ping", "weakgrid/pong") { listen(); }
+  explicit Impl(const Settings& settings) : End(settings, Role::plant, "weakgrid/ping", "weakgrid/pong") {
+    listen();
+  }
   ~Impl() override { close(); }
   void take(std::uint64_t step) override {
     last.store(step, std::memory_order_release);
@@ -110,7 +110,10 @@ bool Ping::exchange(std::uint64_t step, const timespec& deadline) {
 }
 
 struct Pong::Impl : End<Modulation, Measurement> {
-  explicit Impl(const Settings& settings) : End(settings, "weakgrid/pong", "weakgrid/ping") { listen(); }
+  explicit Impl(const Settings& settings)
+      : End(settings, Role::controller, "weakgrid/pong", "weakgrid/ping") {
+    listen();
+  }
   ~Impl() override { close(); }
   void take(std::uint64_t step) override { write(step); }
 };

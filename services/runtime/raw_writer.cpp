@@ -146,12 +146,8 @@ struct RawBus::Impl : dds::DomainParticipantListener {
   }
 };
 
-RawBus::RawBus(std::uint32_t domain, const std::vector<std::string>& interfaces, const std::string& name)
-    : impl_(std::make_unique<Impl>()) {
-  const dds::DomainParticipantQos qos = participant_qos(name, interfaces);
-  auto* factory = dds::DomainParticipantFactory::get_instance();
-  impl_->participant = made(factory->create_participant(domain, qos, impl_.get(), dds::StatusMask::none()),
-                            "participant in domain " + std::to_string(domain));
+RawBus::RawBus(std::uint32_t domain, const DdsSettings& dds) : impl_(std::make_unique<Impl>()) {
+  impl_->participant = make_participant(domain, dds, Role::replayer, impl_.get());
 }
 
 RawBus::~RawBus() = default;

@@ -10,14 +10,15 @@
 #include <vector>
 
 #include "services/recording/sample.hpp"
+#include "services/runtime/settings.hpp"
 
 namespace weakgrid {
 
-/// One DDS participant for raw writers, UDPv4 alone on the interfaces given. It also sees who else writes.
+/// One DDS participant for raw writers, in the role of a replayer. It also sees who else writes.
 class RawBus {
  public:
   /// Throws BusError.
-  RawBus(std::uint32_t domain, const std::vector<std::string>& interfaces, const std::string& name);
+  RawBus(std::uint32_t domain, const DdsSettings& dds);
   ~RawBus();
   RawBus(const RawBus&) = delete;
   RawBus& operator=(const RawBus&) = delete;

@@ -3,6 +3,7 @@
 
 #include <fmt/format.h>
 
+#include <arpa/inet.h>
 #include <toml++/toml.h>
 #include <algorithm>
 #include <filesystem>
@@ -118,7 +119,8 @@ class TableReader {
     const toml::node* node = find(key);
     if (!node) return;
     const toml::array* array = node->as_array();
-    if (!array || array->size() < least || array->size() > most || !array->is_homogeneous<std::string>())
+    if (!array || array->size() < least || array->size() > most ||
+        !(array->empty() || array->is_homogeneous<std::string>()))
       wrong(*node, key, fmt::format("allowed: a list of {} to {} texts", least, most));
     values.clear();
     for (const toml::node& item : *array) values.push_back(item.as_string()->get());
@@ -254,6 +256,42 @@ class TableWriter {
   std::string path_;
 };
 
+bool is_address(const std::string& text) {
+  in_addr address{};
+  return inet_pton(AF_INET, text.c_str(), &address) == 1;
+}
+
+bool is_address_and_port(const std::string& text) {
+  const std::size_t colon = text.find(':');
+  if (colon == std::string::npos || !is_address(text.substr(0, colon))) return false;
+  const std::string port = text.substr(colon + 1);
+  return !port.empty() && port.size() <= 5 && port.find_first_not_of("0123456789") == std::string::npos &&
+         std::stoul(port) >= 1 && std::stoul(port) <= 65535;
+}
+
+// What addresses look like, and what does not go together. Whether they are there is the bus's to see.
+template <class Wrong>
+void check(const DdsSettings& dds, const Wrong& wrong) {
+  constexpr const char* an_address = "allowed: IPv4 addresses such as \"192.168.7.1\"";
+  for (const std::string& address : dds.interfaces)
+    if (!is_address(address)) wrong("interfaces", fmt::format("\"{}\" is none; {}", address, an_address));
+  for (const std::string& address : dds.peers)
+    if (!is_address(address)) wrong("peers", fmt::format("\"{}\" is none; {}", address, an_address));
+  // What two processes share in memory is open to whoever may read that memory.
+  if (!dds.security.empty() && dds.loop == LoopTransport::data_sharing)
+    wrong("loop", "allowed with dds.security: \"udp\"; shared memory is not encrypted");
+  if (dds.discovery_server.empty()) return;
+  if (!is_address_and_port(dds.discovery_server))
+    wrong("discovery_server",
+          fmt::format("\"{}\" is none; allowed: address and port such as \"192.168.7.1:11811\"",
+                      dds.discovery_server));
+  if (!dds.peers.empty()) wrong("discovery_server", "allowed: this or dds.peers, not both");
+  if (!dds.security.empty())
+    wrong("discovery_server",
+          "allowed: this or dds.security, not both, since Fast DDS 2.9 has no secured Discovery Server; with "
+          "security give dds.peers");
+}
+
 }  // namespace
 
 Settings parse_settings(const std::string& text, const std::string& name) {
@@ -295,6 +333,9 @@ Settings settings_of(const toml::table& table, const std::string& name) {
   rising("protection", "dc_voltage", settings.protection.dc_voltage_min, settings.protection.dc_voltage_max);
   rising("gateway", "dc_voltage", settings.gateway.dc_voltage_min, settings.gateway.dc_voltage_max);
   rising("gateway", "pcc_voltage", settings.gateway.pcc_voltage_min, settings.gateway.pcc_voltage_max);
+  check(settings.dds, [&](const char* key, const std::string& what) {
+    fail(name, table.at_path("dds").at_path(key).node()->source(), std::string("dds.") + key, what);
+  });
   return settings;
 }
 

@@ -52,6 +52,15 @@ enum class LoopTransport : std::uint8_t {
   data_sharing,  ///< twice as fast; a peer killed while it holds a shared lock can take this process down
 };
 
+/// How participants reach each other. Addresses are IPv4, dotted.
+struct DdsSettings {
+  std::vector<std::string> interfaces = {"127.0.0.1"};  ///< own addresses that are used; no others are
+  std::vector<std::string> peers;  ///< hosts asked one by one, this one need not be named; none: multicast
+  std::string discovery_server;    ///< "address:port" of the one that is asked; empty: none
+  std::string security;            ///< folder made by deploy/security/make; empty: everybody is let in
+  LoopTransport loop = LoopTransport::udp;
+};
+
 /// How a plant goes from step to step.
 enum class Pace : std::uint8_t {
   lockstep,  ///< as its controller answers
@@ -135,10 +144,7 @@ struct Settings {
     AfterRestart after_restart = AfterRestart::resume;
     std::string journal;  // file; empty: none
   } gateway;
-  struct {
-    std::vector<std::string> interfaces = {"127.0.0.1"};
-    LoopTransport loop = LoopTransport::udp;
-  } dds;
+  DdsSettings dds;
 
   struct {
     std::uint32_t priority = 0;  // SCHED_FIFO; 0: as the process was started

@@ -106,6 +106,9 @@ void visit(File& file, SettingsOrConst& s) {
   });
   file.section("dds", [&](auto& f) {
     f.texts("interfaces", s.dds.interfaces, 1, 16);
+    f.texts("peers", s.dds.peers, 0, 16);
+    f.text("discovery_server", s.dds.discovery_server);
+    f.text("security", s.dds.security);
     f.word("loop", s.dds.loop, loop_transports);
   });
   file.section("realtime", [&](auto& f) {

@@ -287,7 +287,7 @@ struct Tap::Impl : dds::DomainParticipantListener {
                                                 dds::StatusMask::data_available()
                                                     << dds::StatusMask::requested_incompatible_qos());
     if (ear->reader == nullptr) {
-      spdlog::warn("{}: no reader can be made, so it is not recorded", writer.of.topic);
+      spdlog::warn("{}: no reader can be made, so it is not recorded{}", writer.of.topic, reason());
       return 0;
     }
     ears.emplace(writer.of, std::pair{std::move(ear), ++readers});
@@ -379,8 +379,6 @@ struct Tap::Impl : dds::DomainParticipantListener {
   }
 
   void start() {
-    // What comes while this process waits for a processor.
-    const dds::DomainParticipantQos qos = participant_qos("weakgrid-tap", options.interfaces, 4 << 20);
     auto* factory = dds::DomainParticipantFactory::get_instance();
     // Discovery begins with enable(), when there is somebody to hear it.
     dds::DomainParticipantFactoryQos factory_qos, before;
@@ -388,14 +386,23 @@ struct Tap::Impl : dds::DomainParticipantListener {
     factory_qos = before;
     factory_qos.entity_factory().autoenable_created_entities = false;
     factory->set_qos(factory_qos);
-    participant = factory->create_participant(options.domain, qos, this, dds::StatusMask::none());
+    try {
+      // The buffer: what comes while this process waits for a processor.
+      participant = make_participant(options.domain, options.dds, Role::recorder, this, 4 << 20);
+    } catch (...) {
+      factory->set_qos(before);
+      throw;
+    }
     factory->set_qos(before);
-    if (participant == nullptr || participant->enable() != ReturnCode_t::RETCODE_OK)
-      throw BusError("DDS: participant in domain " + std::to_string(options.domain) + " cannot be made");
+    if (participant->enable() != ReturnCode_t::RETCODE_OK)
+      throw BusError("DDS: participant in domain " + std::to_string(options.domain) + " cannot be enabled" +
+                     reason());
     dds::SubscriberQos subscriber_qos;
-    // Writers without a partition, and those in any.
-    subscriber_qos.partition().push_back("");
-    subscriber_qos.partition().push_back("*");
+    // Writers without a partition, and those in any; where there is security, nobody may use one.
+    if (options.dds.security.empty()) {
+      subscriber_qos.partition().push_back("");
+      subscriber_qos.partition().push_back("*");
+    }
     subscriber = participant->create_subscriber(subscriber_qos);
     if (subscriber == nullptr) throw BusError("DDS: subscriber cannot be made");
     expect_ours();

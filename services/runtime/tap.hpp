@@ -19,7 +19,7 @@ class Tap {
  public:
   struct Options {
     std::uint32_t domain = 0;
-    std::vector<std::string> interfaces;
+    DdsSettings dds;
     TopicFilter filter;
     std::size_t writers_max = 4096;  ///< more are left out
   };

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# How fast plant and controller go in lockstep at 50 µs steps, as a multiple of real time: apart over UDP, apart with
-# shared memory, in one process; as started, and first in line on one processor (needs root). Medians of rounds in turn.
+# How fast plant and controller go in lockstep at 50 µs steps, as a multiple of real time: apart over UDP, the same with
+# DDS Security, apart with shared memory, in one process; as started, and first in line on one processor (needs root). Medians of rounds in turn.
 # usage: lockstep.sh FOLDER_OF_PROGRAMS [SECONDS] [ROUNDS]
 set -euo pipefail
 
@@ -17,9 +17,12 @@ finish() {
 }
 trap finish EXIT
 
-# rate LOOP PRIORITY PROGRAM …
+"$(dirname -- "${BASH_SOURCE[0]}")/../../deploy/security/make" "$work/keys" --domain $domain > /dev/null
+
+# rate udp|secured|data_sharing PRIORITY PROGRAM …
 rate() {
-  local loop=$1 priority=$2 first last start elapsed
+  local loop=$1 priority=$2 security= first last start elapsed
+  [ "$loop" != secured ] || { loop=udp security=$work/keys; }
   shift 2
   cat > "$work/settings.toml" <<T
 [unit]
@@ -32,6 +35,7 @@ reactance = 0.3
 substeps = 4
 [dds]
 loop = "$loop"
+security = "$security"
 [realtime]
 priority = $priority
 cpu = $([ "$priority" -gt 0 ] && echo 0 || echo -1)
@@ -42,10 +46,10 @@ T
     "$bin/weakgrid-$program" --settings "$work/settings.toml" > "$work/$program.log" 2>&1 &
     pids+=($!)
   done
-  until first=$(step_of "$bin" $domain 1) && [ -n "$first" ]; do sleep 0.2; done
+  until first=$(step_of "$bin" $domain 1 --settings "$work/settings.toml") && [ -n "$first" ]; do sleep 0.2; done
   start=$(date +%s%N)
   sleep "$seconds"
-  last=$(step_of "$bin" $domain 1) elapsed=$(($(date +%s%N) - start))
+  last=$(step_of "$bin" $domain 1 --settings "$work/settings.toml") elapsed=$(($(date +%s%N) - start))
   kill "${pids[@]}"
   wait "${pids[@]}" || true
   pids=()
@@ -55,12 +59,13 @@ T
 for ((n = 0; n < rounds; ++n)); do
   for priority in 0 50; do
     rate udp $priority controller plant >> "$work/udp_$priority"
+    rate secured $priority controller plant >> "$work/secured_$priority"
     rate data_sharing $priority controller plant >> "$work/data_sharing_$priority"
     rate udp $priority unit >> "$work/one_process_$priority"
   done
 done
 printf '%-14s %12s %24s\n' lockstep 'as started' 'FIFO 50, one processor'
-for mode in udp data_sharing one_process; do
+for mode in udp secured data_sharing one_process; do
   printf '%-14s' $mode
   for priority in 0 50; do
     sort -n "$work/${mode}_$priority" | awk '{ v[NR] = $1 } END { printf " %12.2f x", v[int((NR + 1) / 2)] }'

@@ -75,7 +75,7 @@ void expect_every_step(const Content& content, const std::string& topic, std::ui
 class Recording {
  public:
   Recording(const test::Domain& domain, const std::string& file, std::vector<std::string> more = {})
-      : client_(domain.number(), 1, {"127.0.0.1"}) {
+      : client_(domain.number(), 1, {}) {
     more.insert(more.begin(), {"--domain", domain.text(), "--output", file});
     program_.emplace("weakgrid-recorder", more);
   }
@@ -147,7 +147,7 @@ TEST(Recorder, RecordsTopicsOfOtherProgramsAlsoInPartitions) {
   const Folder folder;
   Recording recording(domain, folder / "a.mcap", {"--exclude", "*/secret"});
   ASSERT_TRUE(test::wait_until([&] { return recording.is_running(); }));
-  RawBus bus(domain.number(), {"127.0.0.1"}, "their program");
+  RawBus bus(domain.number(), {});
   RawWriter::Options of{.topic = "some/thing", .type = "their::Blob"};
   RawWriter plain(bus, of);
   of.reliable = false;
@@ -201,7 +201,7 @@ TEST(Recorder, WhatFindsNoRoomInTheRingIsCountedForItsTopicAndSaidInTheFile) {
   const Folder folder;
   Recording recording(domain, folder / "a.mcap", {"--ring-bytes", "65536", "--topic", "some/*"});
   ASSERT_TRUE(test::wait_until([&] { return recording.is_running(); }));
-  RawBus bus(domain.number(), {"127.0.0.1"}, "test");
+  RawBus bus(domain.number(), {});
   RawWriter writer(bus, {.topic = "some/burst", .type = "their::Blob"});
   ASSERT_TRUE(test::wait_until([&] { return writer.matched() == 1; }));
   // Three fit; the thread that writes looks every 5 ms.

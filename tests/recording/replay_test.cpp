@@ -26,7 +26,6 @@ using nlohmann::json;
 using test::wait_until;
 
 constexpr std::uint64_t ms = 1'000'000;
-const std::vector<std::string> loopback{"127.0.0.1"};
 
 /// What a recorded writer was.
 struct Source {
@@ -95,7 +94,7 @@ class Ears {
   explicit Ears(const test::Domain& domain)
       : tap_(
             {.domain = domain.number(),
-             .interfaces = loopback,
+             .dds = {},
              .filter = {.topics = {}, .excluded = {"weakgrid/*"}}},
             [this](const SourceWriter& writer) {
               const std::lock_guard lock(mutex_);
@@ -222,7 +221,7 @@ TEST(Replay, ARunRecordedReplayedAndRecordedAgainIsTheSameBytesInTheSameOrder) {
   const test::Domain other;
   test::Program recorder("weakgrid-recorder", {"--domain", other.text(), "--output", folder / "second.mcap",
                                                "--instance", "1001"});
-  Bus bus(other.number(), loopback, "test");
+  Bus bus(other.number(), {}, Role::client);
   std::atomic<bool> recorder_runs{false};
   const Reader<Health> health(bus, 1, [&](const Health& h, Arrival) {
     if (h.instance == 1001 && h.state == ServiceState::running) recorder_runs = true;
@@ -337,7 +336,7 @@ TEST(Replay, StepsPausesAndGoesOnAsTyped) {
     for (std::uint32_t n = 0; n < count; ++n) file.put(x, n * 10 * ms, number_payload(n));
   }
   const Ears ears(domain);
-  Bus bus(domain.number(), loopback, "test");
+  Bus bus(domain.number(), {}, Role::client);
   std::mutex mutex;
   Health health;
   const Reader<Health> reader(bus, 7, [&](const Health& h, Arrival) {
@@ -407,7 +406,7 @@ TEST(Replay, ADomainWhereSomebodyWritesTheTopicIsRefusedUnlessMixed) {
     file.put(file.add({.topic = "a/x"}), 0, number_payload(0));
     file.put(file.add({.topic = "a/y"}), 0, number_payload(0));
   }
-  RawBus bus(domain.number(), loopback, "somebody");
+  RawBus bus(domain.number(), {});
   const RawWriter writer(bus, {.topic = "a/x", .type = "their::Blob"});
   const test::Ended refused = replay(domain, folder / "a.mcap");
   EXPECT_EQ(refused.status, 3);
@@ -419,7 +418,7 @@ TEST(Replay, ADomainWhereSomebodyWritesTheTopicIsRefusedUnlessMixed) {
 
 /// Typed readers of two units.
 struct Listener {
-  explicit Listener(std::uint32_t domain) : bus(domain, loopback, "listener") {}
+  explicit Listener(std::uint32_t domain) : bus(domain, {}, Role::client) {}
   void hear(const Health& h, std::uint32_t unit) {
     const std::lock_guard lock(mutex);
     if (h.service != "replayer") healths[{unit, h.service}].push_back(h.step);

@@ -351,7 +351,7 @@ TEST(Verify, SamplesThatTheControllerNeverGotReexecuteAsGaps) {
                           "weakgrid/measurement", "--await", "weakgrid/modulation"});
   test::Services services(domain, file.path());
   services.start("controller");
-  Client client(domain.number(), 1, {"127.0.0.1"});
+  Client client(domain.number(), 1, {});
   Emulator emulator(emulator_configuration(settings), {});
   std::mutex mutex;
   std::condition_variable came;

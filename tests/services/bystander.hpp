@@ -16,8 +16,8 @@ namespace weakgrid::test {
 /// The last samples of the plant (as long as it lives another's count for nothing), all references.
 class Bystander {
  public:
-  explicit Bystander(const Domain& domain, std::uint32_t unit = 1)
-      : client_(domain.number(), unit, {"127.0.0.1"}),
+  explicit Bystander(const Domain& domain, std::uint32_t unit = 1, const DdsSettings& dds = {})
+      : client_(domain.number(), unit, dds),
         references_(client_.bus(), unit,
                     [this](const Reference& r, Arrival) {
                       const std::lock_guard lock(mutex_);

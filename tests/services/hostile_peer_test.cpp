@@ -56,7 +56,7 @@ TEST(HostilePeer, ASecondWriterOfModulationDoesNotDisturbARun) {
   const test::Domain domain;
   const test::TextFile file(scenario("1.5"));
   test::Program run("weakgrid", {"run", file.path(), "--json", "--domain", domain.text()});
-  Client client(domain.number(), 1, {"127.0.0.1"});
+  Client client(domain.number(), 1, {});
   Writer<Modulation> writer(client.bus(), 1);
   std::atomic<std::uint64_t> step{0};
   const Reader<Modulation> reader(client.bus(), 1, [&](const Modulation& m, Arrival) {
@@ -89,7 +89,7 @@ TEST(HostilePeer, ASecondControllerDoesNotDisturbARun) {
   const test::Domain domain;
   const test::TextFile file(scenario("3.0"));
   test::Program run("weakgrid", {"run", file.path(), "--json", "--domain", domain.text()});
-  Client client(domain.number(), 1, {"127.0.0.1"});
+  Client client(domain.number(), 1, {});
   std::atomic<std::uint64_t> step{0};
   const Reader<Modulation> reader(client.bus(), 1, [&](const Modulation& m, Arrival) { step = m.step; });
   ASSERT_TRUE(test::wait_until([&] { return step >= 1; })) << run.err();
@@ -151,7 +151,7 @@ TEST(HostilePeer, ASecondRunOfTheSameUnitIsToldSoAndTheFirstIsUndisturbed) {
   const test::Domain domain;
   const test::TextFile file(scenario("8.0"));
   test::Program first("weakgrid", {"run", file.path(), "--json", "--domain", domain.text()});
-  Client client(domain.number(), 1, {"127.0.0.1"});
+  Client client(domain.number(), 1, {});
   std::atomic<std::uint64_t> step{0};
   const Reader<Modulation> reader(client.bus(), 1, [&](const Modulation& m, Arrival) { step = m.step; });
   ASSERT_TRUE(test::wait_until([&] { return step >= 600; })) << first.err();  // both setpoints stand

@@ -210,7 +210,7 @@ class StallingController {
       : spacing_(steps / (stalls + 10)),
         random_(seed),
         controller_(controller_configuration(settings)),
-        bus_(settings.unit.domain, {"127.0.0.1"}, "stalling"),
+        bus_(settings.unit.domain, {}, Role::client),
         modulations_(bus_, 1),
         samples_(bus_, 1, [this](const Measurement& m, Arrival) { answer(m); }) {}
 

@@ -147,6 +147,16 @@ Settings random_settings(std::uint64_t seed) {
   for (TimedSetpoint& setpoint : settings.scenario->setpoints) setpoint.at_s *= before_end;
   for (TimedEvent& event : settings.scenario->events) event.at_s *= before_end;
   if (seed % 4 == 0) settings.scenario.reset();
+  for (auto* addresses : {&settings.dds.interfaces, &settings.dds.peers})
+    for (std::size_t n = 0; n < addresses->size(); ++n)
+      (*addresses)[n] = fmt::format("10.0.{}.{}", seed % 256, n);
+  settings.dds.discovery_server.clear();
+  if (seed % 3 == 0) {
+    settings.dds.discovery_server = fmt::format("10.0.0.1:{}", 1 + seed % 65535);
+    settings.dds.peers.clear();
+    settings.dds.security.clear();
+  }
+  if (!settings.dds.security.empty()) settings.dds.loop = LoopTransport::udp;
   return settings;
 }
 
@@ -310,12 +320,24 @@ std::string derived(const Settings& s) {
 TEST(Settings, EveryKeyHasAnEffect) {
   // Read by the services themselves: who they are, where they meet, how the plant keeps time, what they ask
   // of the machine, what a run is called.
-  const std::set<std::string> read_elsewhere{
-      "unit.number",          "unit.count",           "dds.loop",
-      "unit.domain",          "plant.patience_s",     "plant.pace",
-      "plant.overrun",        "realtime.priority",    "realtime.cpu",
-      "realtime.lock_memory", "realtime.dma_latency", "dds.interfaces",
-      "scenario.title",       "gateway.journal",      "gateway.after_restart"};
+  const std::set<std::string> read_elsewhere{"unit.number",
+                                             "unit.count",
+                                             "dds.loop",
+                                             "unit.domain",
+                                             "plant.patience_s",
+                                             "plant.pace",
+                                             "plant.overrun",
+                                             "realtime.priority",
+                                             "realtime.cpu",
+                                             "realtime.lock_memory",
+                                             "realtime.dma_latency",
+                                             "dds.interfaces",
+                                             "scenario.title",
+                                             "gateway.journal",
+                                             "gateway.after_restart",
+                                             "dds.peers",
+                                             "dds.discovery_server",
+                                             "dds.security"};
   Settings settings;
   settings.scenario.emplace();
   settings.scenario->end_s = 1.0;
