@@ -6,8 +6,8 @@
 #include <optional>
 
 #include "controller/controller.hpp"
-#include "services/runtime/mailbox.hpp"
 #include "services/runtime/one_writer.hpp"
+#include "services/waiting_references.hpp"
 
 namespace weakgrid {
 
@@ -17,10 +17,8 @@ class ControllerDialogue {
 
   /// From any one thread: waits for the next sample.
   void keep(const Reference& reference) noexcept {
-    if (references_.put(reference))
-      newest_heard_.store(reference.id, std::memory_order_release);
-    else
-      count(refused_references_);
+    if (!references_.put(reference)) count(overflow_);
+    newest_heard_.store(reference.id, std::memory_order_release);
   }
 
   // From one other thread.
@@ -34,8 +32,9 @@ class ControllerDialogue {
   }
   /// None: the sample is older than the last.
   std::optional<Modulation> answer(const Measurement& measurement) noexcept {
-    while (const auto reference = references_.take())
-      if (!controller_.accept(*reference)) count(refused_references_);
+    references_.take([this](const Reference& reference) {
+      if (!controller_.accept(reference)) count(refused_references_);
+    });
     const Modulation modulation = controller_.step(measurement);
     if (modulation.step == measurement.step) return modulation;
     count(stale_);
@@ -48,6 +47,7 @@ class ControllerDialogue {
   std::uint64_t stale() const noexcept { return stale_; }
   std::uint64_t foreign() const noexcept { return foreign_; }
   std::uint64_t refused_references() const noexcept { return refused_references_; }
+  std::uint64_t overflow() const noexcept { return overflow_; }
 
  private:
   using Count = std::atomic<std::uint64_t>;
@@ -55,9 +55,9 @@ class ControllerDialogue {
 
   Controller controller_;
   OneWriter one_plant_;
-  Mailbox<Reference, 16> references_;
+  WaitingReferences references_;
   std::atomic<std::uint32_t> newest_heard_{0};
-  Count stale_{0}, foreign_{0}, refused_references_{0};
+  Count stale_{0}, foreign_{0}, refused_references_{0}, overflow_{0};
 };
 
 }  // namespace weakgrid

@@ -80,6 +80,7 @@ Health ControllerUnit::health(std::uint64_t malformed) {
   health.counters.push_back({"unsent", unsent_});
   health.counters.push_back({"refused_references", dialogue_.refused_references()});
   health.counters.push_back({"foreign_measurements", dialogue_.foreign()});
+  health.counters.push_back({"overflow", dialogue_.overflow()});
   health.counters.push_back({"malformed", malformed});
   return health;
 }

@@ -10,11 +10,18 @@ std::optional<Modulation> PlantDialogue::answer_to(const Measurement& measuremen
       count(foreign_);
       continue;
     }
-    unanswered_ = modulation->step + 1;
     if (modulation->step < measurement.step) {
+      unanswered_ = modulation->step + 1;
       count(late_modulations_);
       continue;
     }
+    // Of another plant's sample of that step: a unit that was started anew, or twice.
+    if (modulation->measurement_fingerprint != 0 &&
+        modulation->measurement_fingerprint != fingerprint(measurement)) {
+      count(foreign_);
+      continue;
+    }
+    unanswered_ = modulation->step + 1;
     if ((modulation->status & saturated) != 0) count(saturated_);
     return modulation;
   }

@@ -11,6 +11,7 @@
 #include "services/runtime/mailbox.hpp"
 #include "services/runtime/messages.hpp"
 #include "services/runtime/one_writer.hpp"
+#include "services/waiting_references.hpp"
 
 namespace weakgrid {
 
@@ -30,7 +31,9 @@ class PlantDialogue {
     return false;
   }
   void keep(const Modulation& modulation) noexcept { keep(modulations_, modulation); }
-  void keep(const Reference& reference) noexcept { keep(references_, reference); }
+  void keep(const Reference& reference) noexcept {
+    if (!references_.put(reference)) count(overflow_);
+  }
   void keep(const Operation& operation) noexcept { keep(operations_, operation); }
 
   // On the thread of the loop.
@@ -38,8 +41,9 @@ class PlantDialogue {
   /// passed, or not for this state.
   template <class Refused>
   void hear(Refused refused) {
-    while (const auto reference = references_.take())
-      if (!emulator_.accept(*reference)) count(refused_references_);
+    references_.take([this](const Reference& reference) {
+      if (!emulator_.accept(reference)) count(refused_references_);
+    });
     while (const auto operation = operations_.take()) {
       if (obey(*operation)) continue;
       count(refused_operations_);
@@ -79,7 +83,7 @@ class PlantDialogue {
   std::uint64_t unanswered_ = 0;  // the first step that no answer has come to, those before are repeats
   OneWriter one_controller_;
   Mailbox<Modulation, 8> modulations_;
-  Mailbox<Reference, 16> references_;
+  WaitingReferences references_;
   Mailbox<Operation, 16> operations_;
   Count late_modulations_{0}, saturated_{0}, foreign_{0}, overflow_{0}, refused_references_{0},
       refused_operations_{0};
