@@ -74,5 +74,18 @@ TEST(Dialogue, HoweverManyOrdersWaitTheNewestIsNotLost) {
   EXPECT_EQ(pair.controller.overflow(), pair.plant.overflow());
 }
 
+TEST(Dialogue, WhatIsDueBeginsInTheLawAsInTheSourceEvenIfTheNextOrderIsKnownByThen) {
+  Pair pair;
+  pair.tell_both(order(1, 0.0, 0.3, 5));
+  for (int k = 0; k < 100; ++k) (void)pair.step();
+  // Both come between two samples; the second waits for its step.
+  pair.tell_both(order(2, 0.0, 0.0, 0));
+  pair.tell_both(order(3, 0.1, 0.1, 1000));
+  const Modulation answer = pair.step();
+  EXPECT_EQ(answer.reference_id, 2u);
+  EXPECT_EQ(pair.sample().reference_id, 2u);
+  EXPECT_EQ(answer.newest_reference_id, 3u);
+}
+
 }  // namespace
 }  // namespace weakgrid
