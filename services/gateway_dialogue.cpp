@@ -35,6 +35,7 @@ void GatewayDialogue::stop() {
 void GatewayDialogue::decide(const Request& request, Time now) {
   if (!has_looked_around(now)) return;  // clients repeat
   if (!heard_plant_ && !heard_controller_ && !arbiter_.standing()) arbiter_.forget();
+  if (memory_) leave_room();
   const Holder before = arbiter_.authority().holder();
   const bool was_held = arbiter_.authority().is_held(step_);
   const Decision decision = arbiter_.decide(request, step_);
@@ -53,12 +54,16 @@ void GatewayDialogue::decide(const Request& request, Time now) {
   write(DecisionMessage{decision, describe(decision, timing_)});
 }
 
-void GatewayDialogue::watch(const Measurement& measurement, bool is_another) {
+void GatewayDialogue::watch(const Measurement& measurement, bool is_another, Time now) {
   step_ = measurement.step;
   arbiter_.note_unit(measurement.state);
+  is_another_ = is_another_ || is_another;
+  is_unseen_ = !has_heard_all(now);
+  if (is_unseen_) return;
   if (memory_) go_on(measurement);
   const Rules& rules = arbiter_.rules();
   if (const auto V = evidence_.add(rules.box, rules.converter.omega, measurement)) revalidate(*V);
+  is_another = std::exchange(is_another_, false);
   if (!is_another && measurement.blocked == was_blocked_) return;
   was_blocked_ = measurement.blocked;
   if (measurement.blocked || is_another) {
@@ -193,15 +198,25 @@ void GatewayDialogue::say_envelope() {
   if (!outlet_.write(now)) said_.reset();
 }
 
+// A power cut may have taken the end of the journal: the ids that stood there are not given to others.
+void GatewayDialogue::leave_room() {
+  if (!std::exchange(has_left_room_, true)) arbiter_.leave_room();
+}
+
 // At the first sample: what the journal tells stands only if this is still the unit that it tells of. Steps
 // rise as long as a unit lives, and one that lives follows what was ordered.
 void GatewayDialogue::go_on(const Measurement& measurement) {
   const GatewayMemory memory = *std::exchange(memory_, std::nullopt);
   const Reference& last = *memory.reference;
   const bool follows = measurement.reference_id != 0 || last.effective_step > measurement.step;
-  if (measurement.blocked || arbiter_.standing()) return;  // told below, or ordered anew meanwhile
-  if (measurement.step >= memory.step && follows) {
-    arbiter_.adopt(last);
+  const bool is_the_unit = !measurement.blocked && measurement.step >= memory.step && follows;
+  if (arbiter_.standing()) return;  // ordered anew meanwhile
+  if (is_the_unit) arbiter_.adopt(last);
+  leave_room();
+  if (measurement.blocked) return;  // told below
+  if (is_the_unit) {
+    // Plant and controller follow a newer one: until a request gives p, q and v_c nothing is known to stand.
+    if (!arbiter_.standing()) return;
     if (after_restart_ == AfterRestart::fallback) {
       const Reference back = arbiter_.fall_back(measurement.step);
       note_event("fallback", "after a restart the fallback stands, as the settings want it", back);
@@ -222,10 +237,14 @@ void GatewayDialogue::go_on(const Measurement& measurement) {
   spdlog::warn("{}{}", who_, text);
 }
 
-// Before it knows which reference plant and controller hold, a restarted gateway would issue one that they
-// refuse as old. Where nobody is, nobody is heard.
+// Before it knows which references plant and controller hold, a restarted gateway would issue one that they
+// refuse as old, or give the id of one of theirs to another. Where nobody is, nobody is heard.
+bool GatewayDialogue::has_heard_all(Time now) const {
+  return (heard_plant_ && heard_controller_) || now - started_ > std::chrono::seconds(3);
+}
+
 bool GatewayDialogue::has_looked_around(Time now) const {
-  return (heard_plant_ && heard_controller_ && !memory_) || now - started_ > std::chrono::seconds(3);
+  return has_heard_all(now) && ((!memory_ && !is_unseen_) || now - started_ > std::chrono::seconds(3));
 }
 
 Health GatewayDialogue::health(Time now) const {

@@ -44,7 +44,7 @@ class GatewayDialogue {
 
   void decide(const Request& request, Time now);
   /// Follows the unit: its step, its trips, and whether it is still the same one.
-  void watch(const Measurement& measurement, bool is_another);
+  void watch(const Measurement& measurement, bool is_another, Time now);
   void hear(const Health& health);
   /// Now and then: people are told of the end of a lease, and of what has changed.
   void look_after();
@@ -66,7 +66,9 @@ class GatewayDialogue {
   void check_fallback();
   void watch_lease();
   void say_envelope();
+  void leave_room();
   void go_on(const Measurement& measurement);
+  bool has_heard_all(Time now) const;
   bool has_looked_around(Time now) const;
   template <class Message>
   void write(const Message& message) {
@@ -86,6 +88,9 @@ class GatewayDialogue {
   std::uint32_t fallen_back_id_ = 0;
   bool fallback_holds_ = true;
   bool was_blocked_ = false;
+  bool has_left_room_ = false;
+  bool is_unseen_ = false;   // a sample has come too early to act on it
+  bool is_another_ = false;  // since the last sample that was acted on
   bool heard_plant_ = false, heard_controller_ = false;
   std::uint64_t step_ = 0, accepted_ = 0, rejected_ = 0, unsent_ = 0, unwritten_ = 0;
   std::uint32_t reference_id_ = 0;

@@ -57,7 +57,7 @@ class GatewayUnit : GatewayOutlet {
       return;
     }
     const std::lock_guard lock(mutex_);
-    dialogue_.watch(measurement, verdict == OneWriter::Verdict::changed);
+    dialogue_.watch(measurement, verdict == OneWriter::Verdict::changed, Clock::now());
   }
   void hear(const Health& health) {
     const std::lock_guard lock(mutex_);

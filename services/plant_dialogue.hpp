@@ -33,6 +33,7 @@ class PlantDialogue {
   void keep(const Modulation& modulation) noexcept { keep(modulations_, modulation); }
   void keep(const Reference& reference) noexcept {
     if (!references_.put(reference)) count(overflow_);
+    newest_heard_.store(reference.id, std::memory_order_release);
   }
   void keep(const Operation& operation) noexcept { keep(operations_, operation); }
 
@@ -62,6 +63,8 @@ class PlantDialogue {
   const Emulator& emulator() const noexcept { return emulator_; }
 
   // From any thread.
+  /// Of the references, also while the loop waits and takes none.
+  std::uint32_t newest_heard() const noexcept { return newest_heard_.load(std::memory_order_acquire); }
   std::uint64_t late_modulations() const noexcept { return late_modulations_; }
   std::uint64_t saturated_answers() const noexcept { return saturated_; }
   std::uint64_t foreign() const noexcept { return foreign_; }
@@ -85,6 +88,7 @@ class PlantDialogue {
   Mailbox<Modulation, 8> modulations_;
   WaitingReferences references_;
   Mailbox<Operation, 16> operations_;
+  std::atomic<std::uint32_t> newest_heard_{0};
   Count late_modulations_{0}, saturated_{0}, foreign_{0}, overflow_{0}, refused_references_{0},
       refused_operations_{0};
 };

@@ -163,7 +163,6 @@ void PlantUnit::publish() noexcept {
   unit_state_.store(emulator().state(), std::memory_order_relaxed);
   trip_.store(emulator().trip(), std::memory_order_relaxed);
   trip_step_.store(emulator().trip_step(), std::memory_order_relaxed);
-  reference_id_.store(emulator().newest_reference_id(), std::memory_order_relaxed);
   lease_ends_.store(emulator().counters().lease_ends, std::memory_order_relaxed);
   holds_.store(emulator().counters().holds, std::memory_order_relaxed);
   refused_modulations_.store(emulator().counters().refused, std::memory_order_relaxed);
@@ -173,7 +172,7 @@ Health PlantUnit::health(std::uint64_t malformed) {
   Health health;
   health.state = state_;
   health.step = step_;
-  health.reference_id = reference_id_;
+  health.reference_id = dialogue_.newest_heard();
   const Trip trip = trip_;
   const UnitState unit_state = unit_state_;
   if (trip != Trip::none) {

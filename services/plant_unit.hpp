@@ -77,7 +77,6 @@ class PlantUnit {
   std::atomic<Trip> trip_{Trip::none};
   std::atomic<std::uint64_t> step_{0}, trip_step_{0}, holds_{0}, resends_{0}, lease_ends_{0};
   std::atomic<std::uint64_t> overruns_{0}, missed_steps_{0}, refused_modulations_{0};
-  std::atomic<std::uint32_t> reference_id_{0};
   std::atomic<std::int64_t> sent_ns_{0};  // when the sample was first written
   std::mutex digest_mutex_;
   std::string digest_text_;
