@@ -83,8 +83,12 @@ class Controller {
   /// than max_gap older ones in a row the controller starts anew with them.
   Modulation step(const Measurement& measurement) noexcept;
 
-  /// False: refused, not finite, out of range or not newer than the newest known.
-  bool accept(const Reference& reference) noexcept { return shaper_.accept(reference); }
+  /// False: refused, not finite, out of range or not newer than the newest known. What was due by the next
+  /// sample has begun by then, also if this one is known first: as in the source, which begins it at once.
+  bool accept(const Reference& reference) noexcept {
+    if (started_) shaper_.advance_to(last_.step + 1, false);
+    return shaper_.accept(reference);
+  }
 
   /// The next sample starts it anew, whatever its step; a pending reference stays.
   void reset() noexcept;

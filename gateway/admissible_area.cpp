@@ -139,7 +139,13 @@ AdmissibleArea::AdmissibleArea(const GridBox& box, const Converter& converter, c
   SpaceVector start{0.5 * reach, 0.0};
   for (int k = 0; k < 8 && !inside; ++k, start = part * start) inside = uphill(start, 0.25 * reach);
   if (!inside) return;
-  for (double half = reach / 4.0; count_ == 0 && half > 1e-7 * reach; half *= 0.25)
+  // It may be thin and long: all once more with finer lines, then around the point that was found.
+  constexpr int tiles = 4;
+  for (int tile = 0; tile < tiles * tiles; ++tile)
+    (void)trace_around(
+        (reach / tiles) * SpaceVector{2.0 * (tile % tiles) + 1.0 - tiles, 2.0 * (tile / tiles) + 1.0 - tiles},
+        reach / tiles);
+  for (double half = reach / 8.0; count_ == 0 && half > 1e-7 * reach; half *= 0.25)
     (void)trace_around(*inside, half);
 }
 

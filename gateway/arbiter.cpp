@@ -54,9 +54,16 @@ Reference Arbiter::block() noexcept {
 }
 
 void Arbiter::note_foreign_reference(std::uint32_t id) noexcept {
-  if (id <= reference_id_) return;
-  reference_id_ = id;
+  const bool is_in_room =
+      room_end_ != 0 && reference_id_ == room_end_ && id <= room_end_ && room_end_ - id < room;
+  if (id <= reference_id_ && !is_in_room) return;
+  reference_id_ = std::max(reference_id_, id);
   standing_is_known_ = false;
+}
+
+void Arbiter::leave_room() noexcept {
+  reference_id_ += room;
+  room_end_ = reference_id_;
 }
 
 void Arbiter::adopt(const Reference& reference) noexcept {

@@ -180,6 +180,11 @@ class Arbiter {
   /// until a request gives p, q and v_c nothing is known to stand.
   void note_foreign_reference(std::uint32_t id) noexcept;
 
+  /// The next ids are left to references of before a restart that nobody here knows of; of one of those
+  /// note_foreign_reference() tells.
+  static constexpr std::uint32_t room = 64;
+  void leave_room() noexcept;
+
   /// That reference is known to stand, whoever issued it; one older than the newest known is ignored.
   void adopt(const Reference& reference) noexcept;
 
@@ -222,6 +227,7 @@ class Arbiter {
   Course course_;
   std::uint32_t reference_id_ = 0;
   AdmissibleArea area_;  ///< saves time, decides nothing
+  std::uint32_t room_end_ = 0;  // the last of the ids that were left, 0: none
   bool standing_is_known_ = true;
   bool blocked_ = false;
   UnitState unit_state_ = UnitState::running;

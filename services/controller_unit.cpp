@@ -13,9 +13,9 @@ namespace weakgrid {
 
 ControllerUnit::ControllerUnit(const Settings& settings, Bus& bus)
     : who_(name_in_log(settings)),
-      controller_(controller_configuration(settings)),
+      dialogue_(controller_configuration(settings)),
       state_every_(std::max<std::uint64_t>(50'000'000 / std::uint64_t{settings.timing.period_us * 1000u}, 1)),
-      announcer_(bus, settings, "controller", constants_of(controller_.constants())),
+      announcer_(bus, settings, "controller", constants_of(dialogue_.controller().constants())),
       modulations_(bus, settings.unit.number),
       states_(bus, settings.unit.number) {}
 
@@ -23,47 +23,25 @@ void ControllerUnit::note_end() const { spdlog::info("{}stopped at step {}", who
 
 void ControllerUnit::say(std::uint64_t malformed) { announcer_.say(health(malformed), stages_); }
 
-// On a thread of the bus: references come here and wait for the next sample.
-void ControllerUnit::keep(const Reference& reference) {
-  if (!references_.put(reference))
-    refused_references_.fetch_add(1, std::memory_order_relaxed);
-  else
-    newest_heard_.store(reference.id, std::memory_order_release);
-}
-
 // The whole hot path of this process.
 void ControllerUnit::answer(const Measurement& measurement, const Arrival& from,
                             const Reader<Measurement>& reader) {
   const std::int64_t begun_ns = monotonic_ns();
   const std::int64_t travelled_ns = wall_time_ns() - from.sent_ns;
-  switch (one_plant_.admit(from.writer, reader)) {
-    case OneWriter::Verdict::refused:
-      foreign_.fetch_add(1, std::memory_order_relaxed);
-      return;
-    case OneWriter::Verdict::changed:
-      controller_.reset();
-      break;
-    case OneWriter::Verdict::known:
-      break;
-  }
-  while (const auto reference = references_.take())
-    if (!controller_.accept(*reference)) refused_references_.fetch_add(1, std::memory_order_relaxed);
-  const Modulation modulation = controller_.step(measurement);
-  if (modulation.step != measurement.step) {
-    stale_.fetch_add(1, std::memory_order_relaxed);
-    return;
-  }
+  if (!dialogue_.admit(from.writer, reader, std::chrono::steady_clock::now())) return;
+  const std::optional<Modulation> modulation = dialogue_.answer(measurement);
+  if (!modulation) return;
   const std::int64_t computed_ns = monotonic_ns();
-  if (!modulations_.write(modulation)) unsent_.fetch_add(1, std::memory_order_relaxed);
+  if (!modulations_.write(*modulation)) unsent_.fetch_add(1, std::memory_order_relaxed);
   stages_[write].durations.add(monotonic_ns() - computed_ns);
   stages_[compute].durations.add(computed_ns - begun_ns);
   stages_[sample].durations.add(travelled_ns);
   if (measurement.step == step_.load(std::memory_order_relaxed) && running_) return;  // asked again
-  if (measurement.step % state_every_ == 0 && !states_.write(controller_.state()))
+  if (measurement.step % state_every_ == 0 && !states_.write(dialogue_.controller().state()))
     unsent_.fetch_add(1, std::memory_order_relaxed);
   step_.store(measurement.step, std::memory_order_relaxed);
   running_.store(true, std::memory_order_relaxed);
-  count(modulation);
+  count(*modulation);
 }
 
 void ControllerUnit::count(const Modulation& modulation) noexcept {
@@ -83,7 +61,7 @@ Health ControllerUnit::health(std::uint64_t malformed) {
   const bool running = running_;
   health.state = running ? ServiceState::running : ServiceState::starting;
   health.step = step_;
-  health.reference_id = newest_heard_.load(std::memory_order_acquire);
+  health.reference_id = dialogue_.newest_heard();
   if (!running)
     health.text = "waits for a plant";
   else if ((status & wrong_timing) != 0)
@@ -98,10 +76,11 @@ Health ControllerUnit::health(std::uint64_t malformed) {
   for (std::size_t bit = 0; bit < counts_.size(); ++bit)
     health.counters.push_back({names[bit], counts_[bit]});
   health.counters.push_back({"lease_ends", lease_ends_});
-  health.counters.push_back({"stale", stale_});
+  health.counters.push_back({"stale", dialogue_.stale()});
   health.counters.push_back({"unsent", unsent_});
-  health.counters.push_back({"refused_references", refused_references_});
-  health.counters.push_back({"foreign_measurements", foreign_});
+  health.counters.push_back({"refused_references", dialogue_.refused_references()});
+  health.counters.push_back({"foreign_measurements", dialogue_.foreign()});
+  health.counters.push_back({"overflow", dialogue_.overflow()});
   health.counters.push_back({"malformed", malformed});
   return health;
 }

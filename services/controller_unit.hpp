@@ -6,9 +6,8 @@
 #include <memory>
 #include <vector>
 
-#include "controller/controller.hpp"
+#include "services/controller_dialogue.hpp"
 #include "services/runtime/announcer.hpp"
-#include "services/runtime/mailbox.hpp"
 #include "services/runtime/stage_timings.hpp"
 
 namespace weakgrid {
@@ -18,7 +17,7 @@ class ControllerUnit {
   ControllerUnit(const Settings& settings, Bus& bus);
 
   // On threads of the bus.
-  void keep(const Reference& reference);
+  void keep(const Reference& reference) { dialogue_.keep(reference); }
   void answer(const Measurement& measurement, const Arrival& from, const Reader<Measurement>& reader);
 
   void say(std::uint64_t malformed);
@@ -30,14 +29,11 @@ class ControllerUnit {
   Health health(std::uint64_t malformed);
 
   const std::string who_;  // in the log
-  Controller controller_;
+  ControllerDialogue dialogue_;
   const std::uint64_t state_every_;  // steps: 50 ms
-  OneWriter one_plant_;
-  Mailbox<Reference, 16> references_;
   std::atomic<bool> running_{false};
-  std::atomic<std::uint32_t> status_{0}, newest_heard_{0};
-  std::atomic<std::uint64_t> step_{0}, stale_{0}, unsent_{0}, foreign_{0}, refused_references_{0},
-      lease_ends_{0};
+  std::atomic<std::uint32_t> status_{0};
+  std::atomic<std::uint64_t> step_{0}, unsent_{0}, lease_ends_{0};
   std::array<std::atomic<std::uint64_t>, 7> counts_{};
   std::uint32_t fallen_back_ = 0;  // the reference whose fallback was followed at the last sample, 0 = none
   std::string logged_;

@@ -94,8 +94,8 @@ GatewayMemory recall(const std::string& path, std::uint32_t unit) {
   return memory;
 }
 
-bool note(Journal& journal, std::uint32_t unit, const Request* request, const Decision& decision,
-          const KnownGrid& grid, const Timing& timing) {
+nlohmann::json entry(std::uint32_t unit, const Request* request, const Decision& decision,
+                     const KnownGrid& grid, const Timing& timing) {
   const bool is_accepted = decision.verdict == Verdict::accepted;
   nlohmann::json body{{"unit", unit},
                       {"client", decision.client},
@@ -110,14 +110,14 @@ bool note(Journal& journal, std::uint32_t unit, const Request* request, const De
   body["authority"] = {{"name", decision.holder.name.text.data()},
                        {"priority", static_cast<int>(decision.holder.source)},
                        {"until_step", decision.held_until_step}};
-  return journal.append("decision", std::move(body));
+  return body;
 }
 
-bool note(Journal& journal, std::uint32_t unit, const std::string& kind, const std::string& text,
-          const std::optional<Reference>& reference, std::uint64_t step) {
+nlohmann::json entry(std::uint32_t unit, const std::string& text, const std::optional<Reference>& reference,
+                     std::uint64_t step) {
   nlohmann::json body{{"unit", unit}, {"step", step}, {"text", text}};
   if (reference) body["order"] = order(*reference);
-  return journal.append(kind, std::move(body));
+  return body;
 }
 
 }  // namespace weakgrid

@@ -21,11 +21,11 @@ struct GatewayMemory {
 /// Of this unit. An empty memory if there is no such file yet; throws as read_journal does.
 GatewayMemory recall(const std::string& path, std::uint32_t unit);
 
-/// One line each, before anybody hears of it. False: see Journal::append.
+/// The bodies of entries that recall() understands.
 /// request: none of a revalidation. grid: as known after the decision.
-bool note(Journal& journal, std::uint32_t unit, const Request* request, const Decision& decision,
-          const KnownGrid& grid, const Timing& timing);
-bool note(Journal& journal, std::uint32_t unit, const std::string& kind, const std::string& text,
-          const std::optional<Reference>& reference, std::uint64_t step);
+nlohmann::json entry(std::uint32_t unit, const Request* request, const Decision& decision,
+                     const KnownGrid& grid, const Timing& timing);
+nlohmann::json entry(std::uint32_t unit, const std::string& text, const std::optional<Reference>& reference,
+                     std::uint64_t step);
 
 }  // namespace weakgrid

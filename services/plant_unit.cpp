@@ -18,23 +18,19 @@ PlantUnit::PlantUnit(const Settings& settings, std::uint64_t until, Bus& bus)
       overrun_(settings.plant.overrun),
       period_ns_(timing(settings).period_ns),
       patience_(static_cast<std::int64_t>(settings.plant.patience_s * 1e9)),
-      emulator_(emulator_configuration(settings), events(settings)),
-      until_(until),
+      dialogue_(emulator_configuration(settings), events(settings), until),
       announcer_(bus, settings, "plant", {}),
       measurements_(bus, unit_) {
   publish();
 }
 
 void PlantUnit::take(const Modulation& modulation, const Arrival& from, const Reader<Modulation>& reader) {
-  if (one_controller_.admit(from.writer, reader) == OneWriter::Verdict::refused) {
-    foreign_.fetch_add(1, std::memory_order_relaxed);
-    return;
-  }
+  if (!dialogue_.admit(from.writer, reader, std::chrono::steady_clock::now())) return;
   stages_[answer].durations.add(wall_time_ns() - from.sent_ns);
   // In real time the loop does not wait for it.
   if (pace_ == Pace::realtime && modulation.step == step_)
     stages_[round_trip].durations.add(monotonic_ns() - sent_ns_);
-  keep(modulations_, modulation);
+  keep(modulation);
 }
 
 void PlantUnit::start(const Reader<Modulation>& answers) {
@@ -47,7 +43,7 @@ void PlantUnit::stop() {
   wake_.post();
   if (!loop_.joinable()) return;
   loop_.join();
-  spdlog::info("{}stopped at step {}", who_, emulator_.step());
+  spdlog::info("{}stopped at step {}", who_, emulator().step());
 }
 
 void PlantUnit::say(std::uint64_t malformed) { announcer_.say(health(malformed), stages_); }
@@ -58,44 +54,25 @@ void PlantUnit::run() {
   while (!stopping_) {
     pulse_.beat();
     hear();
-    if (emulator_.step() >= until_) {
+    if (dialogue_.waits()) {
       pause();
       continue;
     }
     if (pace_ == Pace::realtime && state_ == ServiceState::running && !grid_)
-      grid_ = TimeGrid{emulator_.step(), monotonic_ns(), period_ns_};
+      grid_ = TimeGrid{emulator().step(), monotonic_ns(), period_ns_};
     // In lockstep within one process it never sleeps: first in line it would starve the threads of the bus.
-    if (emulator_.step() % yield_every == 0) std::this_thread::yield();
-    last_ = emulator_.sample();
+    if (emulator().step() % yield_every == 0) std::this_thread::yield();
+    last_ = emulator().sample();
     const std::optional<Modulation> modulation = grid_ ? exchange_in_time(*last_) : exchange(*last_);
     if (stopping_) break;
     const std::int64_t begun_ns = monotonic_ns();
     if (modulation && pace_ == Pace::lockstep) stages_[round_trip].durations.add(begun_ns - sent_ns_);
     if (modulation) digest_.add(unit_, *modulation);
-    emulator_.advance(modulation ? command(*modulation) : std::nullopt);
+    dialogue_.advance(modulation);
     stages_[emulate].durations.add(monotonic_ns() - begun_ns);
     if (grid_) make_up_for_missed();
     publish();
   }
-}
-
-// The answer to this sample, of those that have come.
-std::optional<Modulation> PlantUnit::answer_to(const Measurement& measurement) {
-  while (const auto modulation = modulations_.take()) {
-    if (modulation->step > measurement.step || modulation->step < unanswered_) continue;
-    if (modulation->period_ns != static_cast<std::uint32_t>(measurement.timing.period_ns)) {
-      foreign_.fetch_add(1, std::memory_order_relaxed);
-      continue;
-    }
-    unanswered_ = modulation->step + 1;
-    if (modulation->step < measurement.step) {
-      late_modulations_.fetch_add(1, std::memory_order_relaxed);
-      continue;
-    }
-    if ((modulation->status & saturated) != 0) saturated_.fetch_add(1, std::memory_order_relaxed);
-    return modulation;
-  }
-  return std::nullopt;
 }
 
 // Not sent is as good as lost: sent again in lockstep, a hold in real time.
@@ -114,20 +91,20 @@ std::optional<Modulation> PlantUnit::exchange_in_time(const Measurement& measure
   sleep_until(due_ns);
   stages_[wake].durations.add(monotonic_ns() - due_ns);
   wake_.drain();
-  return answer_to(measurement);
+  return dialogue_.answer_to(measurement);
 }
 
 // Steps whose time is over when theirs begins are held at once, so that the ones after them come in time. The
 // first of them is still written: it tells a recording whether the answer before it was used. The others are
 // not, nobody can answer them in time.
 void PlantUnit::make_up_for_missed() {
-  const std::uint64_t missed = grid_->missed(emulator_.step(), monotonic_ns());
-  if (missed == 0 || emulator_.step() >= until_) return;
+  const std::uint64_t missed = grid_->missed(emulator().step(), monotonic_ns());
+  if (missed == 0 || dialogue_.waits()) return;
   overruns_.fetch_add(1, std::memory_order_relaxed);
-  if (overrun_ == Overrun::block) emulator_.trip(Trip::overrun);
-  send(emulator_.sample());
-  const std::uint64_t n = std::min({missed, catch_up_max, until_ - emulator_.step()});
-  for (std::uint64_t k = 0; k < n; ++k) emulator_.advance(std::nullopt);
+  if (overrun_ == Overrun::block) dialogue_.trip(Trip::overrun);
+  send(emulator().sample());
+  const std::uint64_t n = std::min({missed, catch_up_max, dialogue_.until() - emulator().step()});
+  for (std::uint64_t k = 0; k < n; ++k) dialogue_.advance(std::nullopt);
   missed_steps_.fetch_add(n, std::memory_order_relaxed);
 }
 
@@ -146,7 +123,7 @@ std::optional<Modulation> PlantUnit::exchange(const Measurement& measurement) {
     const timespec resend_at = monotonic_after(resend_after);
     while (wake_.wait_until(resend_at)) {
       if (stopping_) return std::nullopt;
-      if (const auto modulation = answer_to(measurement)) {
+      if (const auto modulation = dialogue_.answer_to(measurement)) {
         controller_is_lost_ = false;
         state_ = ServiceState::running;
         return modulation;
@@ -159,32 +136,11 @@ std::optional<Modulation> PlantUnit::exchange(const Measurement& measurement) {
 
 // References and operations that have come.
 void PlantUnit::hear() {
-  while (const auto reference = references_.take())
-    if (!emulator_.accept(*reference)) refused_references_.fetch_add(1, std::memory_order_relaxed);
-  while (const auto operation = operations_.take()) {
-    if (obey(*operation)) continue;
-    refused_operations_.fetch_add(1, std::memory_order_relaxed);
-    spdlog::warn("{}client {:x}: {} is refused at step {}, {}", who_, operation->client,
-                 name(operation->kind), emulator_.step(), name(emulator_.state()));
-  }
+  dialogue_.hear([this](const Operation& operation) {
+    spdlog::warn("{}client {:x}: {} is refused at step {}, {}", who_, operation.client, name(operation.kind),
+                 emulator().step(), name(emulator().state()));
+  });
   publish();
-}
-
-bool PlantUnit::obey(const Operation& operation) {
-  switch (operation.kind) {
-    case OperationKind::advance:
-      // Nobody who knows this unit asks it to wait in the past.
-      if (operation.until_step < emulator_.step()) return false;
-      until_ = operation.until_step;
-      return true;
-    case OperationKind::reset_trip:
-      return emulator_.reset_trip();
-    case OperationKind::start:
-      return emulator_.start();
-    case OperationKind::stop:
-      return emulator_.stop();
-  }
-  return false;
 }
 
 void PlantUnit::pause() {
@@ -195,7 +151,7 @@ void PlantUnit::pause() {
   const ServiceState before = state_;
   state_ = ServiceState::waiting;
   grid_.reset();
-  while (!stopping_ && emulator_.step() >= until_) {
+  while (!stopping_ && dialogue_.waits()) {
     pulse_.beat();
     // Who is silent for long gives way to another plant: the last word again, now and then.
     if (!wake_.wait_until(monotonic_after(std::chrono::seconds(1))) && last_) send(*last_);
@@ -208,21 +164,20 @@ void PlantUnit::pause() {
 
 // For the health thread.
 void PlantUnit::publish() noexcept {
-  step_.store(emulator_.step(), std::memory_order_relaxed);
-  unit_state_.store(emulator_.state(), std::memory_order_relaxed);
-  trip_.store(emulator_.trip(), std::memory_order_relaxed);
-  trip_step_.store(emulator_.trip_step(), std::memory_order_relaxed);
-  reference_id_.store(emulator_.newest_reference_id(), std::memory_order_relaxed);
-  lease_ends_.store(emulator_.counters().lease_ends, std::memory_order_relaxed);
-  holds_.store(emulator_.counters().holds, std::memory_order_relaxed);
-  refused_modulations_.store(emulator_.counters().refused, std::memory_order_relaxed);
+  step_.store(emulator().step(), std::memory_order_relaxed);
+  unit_state_.store(emulator().state(), std::memory_order_relaxed);
+  trip_.store(emulator().trip(), std::memory_order_relaxed);
+  trip_step_.store(emulator().trip_step(), std::memory_order_relaxed);
+  lease_ends_.store(emulator().counters().lease_ends, std::memory_order_relaxed);
+  holds_.store(emulator().counters().holds, std::memory_order_relaxed);
+  refused_modulations_.store(emulator().counters().refused, std::memory_order_relaxed);
 }
 
 Health PlantUnit::health(std::uint64_t malformed) {
   Health health;
   health.state = state_;
   health.step = step_;
-  health.reference_id = reference_id_;
+  health.reference_id = dialogue_.newest_heard();
   const Trip trip = trip_;
   const UnitState unit_state = unit_state_;
   if (trip != Trip::none) {
@@ -239,16 +194,16 @@ Health PlantUnit::health(std::uint64_t malformed) {
   health.digest = digest_text_;
   health.counters = {{"holds", holds_},
                      {"resends", resends_},
-                     {"late_modulations", late_modulations_},
+                     {"late_modulations", dialogue_.late_modulations()},
                      {"overruns", overruns_},
                      {"missed_steps", missed_steps_},
-                     {"saturated", saturated_},
+                     {"saturated", dialogue_.saturated_answers()},
                      {"refused_modulations", refused_modulations_},
-                     {"refused_references", refused_references_},
-                     {"refused_operations", refused_operations_},
-                     {"foreign_modulations", foreign_},
+                     {"refused_references", dialogue_.refused_references()},
+                     {"refused_operations", dialogue_.refused_operations()},
+                     {"foreign_modulations", dialogue_.foreign()},
                      {"malformed", malformed},
-                     {"overflow", overflow_},
+                     {"overflow", dialogue_.overflow()},
                      {"lease_ends", lease_ends_},
                      {"unit_state", static_cast<std::uint64_t>(unit_state)},
                      {"tripped", trip == Trip::none ? 0u : 1u},

@@ -8,10 +8,9 @@
 #include <thread>
 #include <vector>
 
-#include "plant/emulator.hpp"
 #include "services/modulation_digest.hpp"
+#include "services/plant_dialogue.hpp"
 #include "services/runtime/announcer.hpp"
-#include "services/runtime/mailbox.hpp"
 #include "services/runtime/pulse.hpp"
 #include "services/runtime/semaphore.hpp"
 #include "services/runtime/stage_timings.hpp"
@@ -25,8 +24,8 @@ class PlantUnit {
 
   // On threads of the bus.
   void take(const Modulation& modulation, const Arrival& from, const Reader<Modulation>& reader);
-  void take(const Reference& reference) { keep(references_, reference); }
-  void take(const Operation& operation) { keep(operations_, operation); }
+  void take(const Reference& reference) { keep(reference); }
+  void take(const Operation& operation) { keep(operation); }
 
   /// The loop has its own thread from here on. `answers` says whether anybody answers this unit.
   void start(const Reader<Modulation>& answers);
@@ -43,23 +42,22 @@ class PlantUnit {
   static constexpr std::uint64_t catch_up_max = 1000;
   static constexpr std::uint64_t yield_every = 1024;  // steps
 
-  template <class Message, std::size_t n>
-  void keep(Mailbox<Message, n>& box, const Message& message) {
-    if (!box.put(message)) overflow_.fetch_add(1, std::memory_order_relaxed);
+  template <class Message>
+  void keep(const Message& message) {
+    dialogue_.keep(message);
     wake_.post();
   }
 
   // On the loop thread.
   void run();
-  std::optional<Modulation> answer_to(const Measurement& measurement);
   void send(const Measurement& measurement);
   std::optional<Modulation> exchange_in_time(const Measurement& measurement);
   std::optional<Modulation> exchange(const Measurement& measurement);
   void make_up_for_missed();
   void hear();
-  bool obey(const Operation& operation);
   void pause();
   void publish() noexcept;
+  const Emulator& emulator() const noexcept { return dialogue_.emulator(); }
 
   Health health(std::uint64_t malformed);
 
@@ -69,12 +67,10 @@ class PlantUnit {
   const Overrun overrun_;
   const std::int64_t period_ns_;
   const std::chrono::nanoseconds patience_;
-  Emulator emulator_;
+  PlantDialogue dialogue_;
   ModulationDigest digest_;
-  std::uint64_t until_;
   bool controller_is_lost_ = false;
   std::optional<Measurement> last_;
-  std::uint64_t unanswered_ = 0;  // the first step that no answer has come to, those before are repeats
   std::optional<TimeGrid> grid_;  // in real time, from the first answer on and not in a pause
   Trip logged_trip_ = Trip::none;
 
@@ -84,18 +80,11 @@ class PlantUnit {
   std::atomic<ServiceState> state_{ServiceState::starting};
   std::atomic<UnitState> unit_state_{UnitState::running};
   std::atomic<Trip> trip_{Trip::none};
-  std::atomic<std::uint64_t> step_{0}, trip_step_{0}, holds_{0}, resends_{0}, saturated_{0}, lease_ends_{0};
-  std::atomic<std::uint64_t> late_modulations_{0}, overruns_{0}, missed_steps_{0};
-  std::atomic<std::uint64_t> refused_modulations_{0}, refused_references_{0}, refused_operations_{0},
-      foreign_{0}, overflow_{0};
-  std::atomic<std::uint32_t> reference_id_{0};
+  std::atomic<std::uint64_t> step_{0}, trip_step_{0}, holds_{0}, resends_{0}, lease_ends_{0};
+  std::atomic<std::uint64_t> overruns_{0}, missed_steps_{0}, refused_modulations_{0};
   std::atomic<std::int64_t> sent_ns_{0};  // when the sample was first written
   std::mutex digest_mutex_;
   std::string digest_text_;
-  OneWriter one_controller_;
-  Mailbox<Modulation, 8> modulations_;
-  Mailbox<Reference, 16> references_;
-  Mailbox<Operation, 16> operations_;
   enum { wake, emulate, write, answer, round_trip, stage_count };
   std::array<Stage, stage_count> stages_{Stage{"wake"}, Stage{"emulate"}, Stage{"write"}, Stage{"answer"},
                                          Stage{"round_trip"}};

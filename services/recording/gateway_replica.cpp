@@ -98,6 +98,8 @@ void GatewayReplica::catch_up(std::uint32_t reference_id) {
   const auto standing = inputs_->references.find(reference_id);
   if ((is_late_ || resumes_) && clients_.empty() && standing != inputs_->references.end())
     arbiter_->adopt(standing->second);
+  else if (resumes_ && clients_.empty() && reference_id == newest_ + Arbiter::room)
+    arbiter_->leave_room();
   else
     arbiter_->note_foreign_reference(reference_id);
   newest_ = reference_id;

@@ -11,6 +11,7 @@
 #include <string>
 #include <vector>
 
+#include "services/runtime/one_writer.hpp"
 #include "services/runtime/role.hpp"
 #include "services/runtime/settings.hpp"
 
@@ -20,9 +21,6 @@ namespace weakgrid {
 struct BusError : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
-
-/// Who wrote a sample: a hash of the writer's GUID, never 0.
-using WriterId = std::uint64_t;
 
 /// Where a message comes from.
 struct Arrival {
@@ -96,28 +94,6 @@ class Reader {
  private:
   struct Impl;
   std::unique_ptr<Impl> impl_;
-};
-
-/// Listens to one writer until that is gone or has been silent for 5 s, so that two are never mixed in.
-class OneWriter {
- public:
-  enum class Verdict : std::uint8_t { known, changed, refused };
-
-  template <class Message>
-  Verdict admit(WriterId writer, const Reader<Message>& reader) noexcept {
-    const auto now = std::chrono::steady_clock::now();
-    if (writer != writer_ && writer_ != 0 && reader.is_alive(writer_) && now - heard_ < silence_max)
-      return Verdict::refused;
-    const Verdict verdict = writer == writer_ || writer_ == 0 ? Verdict::known : Verdict::changed;
-    writer_ = writer;
-    heard_ = now;
-    return verdict;
-  }
-
- private:
-  static constexpr std::chrono::seconds silence_max{5};
-  WriterId writer_ = 0;
-  std::chrono::steady_clock::time_point heard_{};
 };
 
 }  // namespace weakgrid

@@ -1,0 +1,211 @@
+// What services make of single messages, without a bus: cases that the simulation of the whole has found.
+#include <gtest/gtest.h>
+
+#include <limits>
+#include <nlohmann/json.hpp>
+
+#include "services/controller_dialogue.hpp"
+#include "services/gateway_dialogue.hpp"
+#include "services/plant_dialogue.hpp"
+
+namespace weakgrid {
+namespace {
+
+struct Anybody {
+  bool is_alive(WriterId) const { return true; }
+};
+constexpr std::uint64_t for_ever = std::numeric_limits<std::uint64_t>::max();
+
+Reference order(std::uint32_t id, double p, double q, std::uint64_t effective_step) {
+  return {.id = id, .p = p, .q = q, .v_c = 1.84, .effective_step = effective_step, .ramp_steps = 20};
+}
+
+// Plant and controller that hear each other, step by step.
+struct Pair {
+  PlantDialogue plant{{}, {}, for_ever};
+  ControllerDialogue controller{{}};
+
+  Measurement sample() {
+    plant.hear([](const Operation&) {});
+    return plant.emulator().sample();
+  }
+  Modulation step() {
+    const Measurement m = sample();
+    const Modulation answer = *controller.answer(m);
+    plant.keep(answer);
+    plant.advance(plant.answer_to(m));
+    return answer;
+  }
+  void tell_both(const Reference& reference) {
+    plant.keep(reference);
+    controller.keep(reference);
+  }
+};
+
+TEST(Dialogue, AnAnswerToAnotherPlantsSampleOfThatStepIsNotUsed) {
+  Pair pair;
+  for (int k = 0; k < 10; ++k) (void)pair.step();
+  const Measurement own = pair.sample();
+  Measurement other = own;
+  other.i = {0.1, 0.0};
+  const Modulation answer_to_other = *ControllerDialogue({}).answer(other);
+  ASSERT_EQ(answer_to_other.step, own.step);
+  pair.plant.keep(answer_to_other);
+  EXPECT_FALSE(pair.plant.answer_to(own));
+  EXPECT_EQ(pair.plant.foreign(), 1u);
+  pair.plant.keep(*pair.controller.answer(own));
+  EXPECT_TRUE(pair.plant.answer_to(own)) << "and its own answer still comes in time";
+}
+
+TEST(Dialogue, AnAnswerThatNamesNoSampleIsTakenAtItsStep) {
+  Pair pair;
+  const Measurement own = pair.sample();
+  Modulation answer = *pair.controller.answer(own);
+  answer.measurement_fingerprint = 0;
+  pair.plant.keep(answer);
+  EXPECT_TRUE(pair.plant.answer_to(own));
+}
+
+TEST(Dialogue, HoweverManyOrdersWaitTheNewestIsNotLost) {
+  Pair pair;
+  for (std::uint32_t id = 1; id <= 100; ++id) pair.tell_both(order(id, 0.001 * id, 0.0, 0));
+  const Modulation answer = pair.step();
+  EXPECT_EQ(pair.sample().reference_id, 100u);
+  EXPECT_EQ(answer.reference_id, 100u);
+  EXPECT_GT(pair.plant.overflow(), 0u);
+  EXPECT_EQ(pair.controller.overflow(), pair.plant.overflow());
+}
+
+TEST(Dialogue, WhatIsDueBeginsInTheLawAsInTheSourceEvenIfTheNextOrderIsKnownByThen) {
+  Pair pair;
+  pair.tell_both(order(1, 0.0, 0.3, 5));
+  for (int k = 0; k < 100; ++k) (void)pair.step();
+  // Both come between two samples; the second waits for its step.
+  pair.tell_both(order(2, 0.0, 0.0, 0));
+  pair.tell_both(order(3, 0.1, 0.1, 1000));
+  const Modulation answer = pair.step();
+  EXPECT_EQ(answer.reference_id, 2u);
+  EXPECT_EQ(pair.sample().reference_id, 2u);
+  EXPECT_EQ(answer.newest_reference_id, 3u);
+}
+
+// All that a gateway says.
+struct Heard : GatewayOutlet {
+  std::vector<Reference> references;
+  std::vector<Decision> decisions;
+  bool write(const Reference& r) override { return references.push_back(r), true; }
+  bool write(const Operation&) override { return true; }
+  bool write(const DecisionMessage& d) override { return decisions.push_back(d.decision), true; }
+  bool write(const Envelope&) override { return true; }
+  bool keeps() const override { return false; }
+  bool keep(std::string_view, nlohmann::json) override { return false; }
+};
+
+// A gateway that was started again with a journal that ends at order 4, on a running unit at step 1000.
+struct Restarted {
+  Heard said;
+  GatewayDialogue::Time now{std::chrono::hours(1)};
+  GatewayDialogue gateway{Settings{}, "", memory(), said, now};
+  Measurement sample = [] {
+    Measurement m;
+    m.step = 1000;
+    m.reference_id = 4;
+    m.v_p = {1.0, 0.0};
+    m.v_c = 1.84;
+    return m;
+  }();
+
+  static GatewayMemory memory() {
+    GatewayMemory memory;
+    memory.reference = order(4, 0.2, 0.0, 500);
+    memory.step = 600;
+    return memory;
+  }
+  void hear(const char* service, std::uint32_t newest) {
+    Health health;
+    health.service = service;
+    health.reference_id = newest;
+    gateway.hear(health);
+  }
+  void watch() {
+    ++sample.step;
+    gateway.watch(sample, false, now);
+  }
+  Decision ask(std::uint32_t id, std::uint32_t given) {
+    Request request;
+    request.client = 1;
+    request.id = id;
+    request.given = given;
+    request.p = 0.1;
+    request.v_c = 1.84;
+    request.who.name.text = {'a'};
+    gateway.decide(request, now);
+    return said.decisions.back();
+  }
+};
+
+TEST(Dialogue, AFirstGatewayKnowsThatNothingStands) {
+  Heard said;
+  const GatewayDialogue::Time now{std::chrono::hours(1)};
+  GatewayDialogue gateway{Settings{}, "", {}, said, now};
+  for (const char* service : {"plant", "controller"}) {
+    Health health;
+    health.service = service;
+    gateway.hear(health);
+  }
+  Request request;
+  request.client = 1;
+  request.id = 1;
+  request.who.name.text = {'a'};
+  request.given = given_p;
+  request.p = 0.1;
+  gateway.decide(request, now);
+  ASSERT_EQ(said.references.size(), 1u);
+  EXPECT_EQ(said.references[0].id, 1u);
+}
+
+TEST(Dialogue, ARestartedGatewaySaysNothingBeforeItHasHeardWhatPlantAndControllerKnow) {
+  Restarted r;
+  r.sample.blocked = true;
+  r.sample.state = UnitState::tripped;
+  r.watch();
+  r.hear("plant", 5);
+  r.watch();
+  EXPECT_TRUE(r.said.references.empty()) << "it might have given the id of theirs to another";
+  r.hear("controller", 5);
+  r.watch();
+  ASSERT_EQ(r.said.references.size(), 1u) << "and the trip is not forgotten";
+  EXPECT_GT(r.said.references[0].id, 5u);
+}
+
+TEST(Dialogue, AfterARestartNoIdIsGivenThatALostEndOfTheJournalMayHaveGiven) {
+  Restarted r;
+  r.hear("plant", 4);
+  r.hear("controller", 4);
+  r.watch();
+  ASSERT_EQ(r.said.references.size(), 1u);
+  EXPECT_EQ(r.said.references[0].id, 4u) << "what stands is said again";
+  const Decision decision = r.ask(1, given_p);
+  ASSERT_EQ(decision.verdict, Verdict::accepted) << "and known";
+  EXPECT_GT(decision.reference->id, 4u + Arbiter::room);
+}
+
+TEST(Dialogue, ARestartedGatewayThatLearnsOfANewerOrderThanItsJournalsDoesNotGuess) {
+  for (const bool late : {false, true}) {
+    Restarted r;
+    r.hear("plant", late ? 4 : 7);
+    r.hear("controller", 4);
+    r.watch();
+    if (late) r.hear("controller", 7);
+    EXPECT_EQ(r.ask(1, given_p).field, Field::given);
+    const Decision decision = r.ask(2, given_p | given_q | given_v_c);
+    ASSERT_EQ(decision.verdict, Verdict::accepted);
+    EXPECT_GT(decision.reference->id, 7u);
+    EXPECT_EQ(r.ask(3, given_p).verdict, Verdict::accepted) << "now it knows";
+    r.hear("plant", 7);  // is behind
+    EXPECT_EQ(r.ask(4, given_p).verdict, Verdict::accepted);
+  }
+}
+
+}  // namespace
+}  // namespace weakgrid
