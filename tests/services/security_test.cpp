@@ -481,8 +481,14 @@ TEST(Security, ASecuredLoopDoesWhatAPlainOneDoesToTheBit) {
   const auto played = [&](const std::string& file, const std::vector<std::string>& further = {}) {
     std::vector<std::string> arguments{"run", file, "--json", "--domain", domain.text()};
     arguments.insert(arguments.end(), further.begin(), further.end());
-    const test::Ended ended = test::run("weakgrid", arguments);
-    const auto report = nlohmann::json::parse(ended.out, nullptr, false);
+    // Some five programs start in one moment: Fast DDS 2.9 then leaves a secured pair apart now and then, and
+    // only starting again helps (deploy/security/README.md).
+    test::Ended ended;
+    nlohmann::json report;
+    for (int attempt = 0; attempt < 3 && !report.contains("modulation_digest"); ++attempt) {
+      ended = test::run("weakgrid", arguments);
+      report = nlohmann::json::parse(ended.out, nullptr, false);
+    }
     EXPECT_FALSE(report.is_discarded()) << ended.out << ended.err;
     return report.is_object() ? report : nlohmann::json::object();
   };
