@@ -46,7 +46,8 @@ for units in "$@"; do
   kill "${pids[@]}"
   wait "${pids[@]}" || true
   pids=()
-  recorded=$("$bin/weakgrid" info "$work/run.mcap" --json | awk -F'[:,]' '/^  "messages"/ { m = $2 } /^  "dropped"/ { d = $2 } END { print m, d }')
+  # Status 1: a writer's samples were lost on the way, as best effort may; what the recorder dropped is in the table.
+  recorded=$({ "$bin/weakgrid" info "$work/run.mcap" --json || [ $? -eq 1 ]; } | awk -F'[:,]' '/^  "messages"/ { m = $2 } /^  "dropped"/ { d = $2 } END { print m, d }')
   awk -v units="$units" -v steps=$((last - first)) -v ns="$elapsed_ns" \
     -v cost="$((after[2] - before[2])) $((after[0] - before[0])) $((after[1] - before[1])) $((after[3] - before[3]))" \
     -v memory="${memory[2]} ${memory[0]} ${memory[1]} ${memory[3]}" -v recorded="$recorded" 'BEGIN {
