@@ -4,6 +4,7 @@
 # usage: lockstep.sh FOLDER_OF_PROGRAMS [SECONDS] [ROUNDS]
 set -euo pipefail
 
+[ -x "${1:-}/weakgrid" ] || { echo "lockstep.sh: '${1:-}': no folder of programs; usage: lockstep.sh FOLDER_OF_PROGRAMS [SECONDS] [ROUNDS]" >&2; exit 2; }
 bin=$1 seconds=${2:-3} rounds=${3:-3}
 domain=230
 . "$(dirname -- "${BASH_SOURCE[0]}")/step_of.sh"

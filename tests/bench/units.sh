@@ -3,6 +3,7 @@
 # usage: units.sh FOLDER_OF_PROGRAMS [SECONDS] [UNITS …]
 set -euo pipefail
 
+[ -x "${1:-}/weakgrid" ] || { echo "units.sh: '${1:-}': no folder of programs; usage: units.sh FOLDER_OF_PROGRAMS [SECONDS] [UNITS …]" >&2; exit 2; }
 bin=$1 seconds=${2:-4}
 shift $(($# < 2 ? $# : 2))
 [ $# -gt 0 ] || set -- 1 2 4 8 16 32 64
