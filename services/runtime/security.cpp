@@ -20,6 +20,8 @@ namespace weakgrid {
 
 namespace {
 
+constexpr const char* make_anew = "; make it anew: deploy/security/make FOLDER --renew";
+
 struct Free {
   void operator()(BIO* it) const { BIO_free_all(it); }
   void operator()(X509* it) const { X509_free(it); }
@@ -38,7 +40,9 @@ using Owned = std::unique_ptr<Object, Free>;
 Owned<BIO> open(const std::string& path) {
   std::ifstream file(path, std::ios::binary);
   std::ostringstream text;
-  if (!file.is_open()) fail(path, std::strerror(errno));
+  if (!file.is_open())
+    fail(path, std::strerror(errno) +
+                   std::string("; deploy/security/make FOLDER --role ROLE makes what a role needs"));
   text << file.rdbuf();
   if (!file || text.str().empty()) fail(path, "empty, or cannot be read");
   Owned<BIO> memory(BIO_new(BIO_s_mem()));
@@ -63,7 +67,7 @@ Owned<X509> certificate(const std::string& path) {
   Owned<X509> it(PEM_read_bio_X509(open(path).get(), nullptr, nullptr, nullptr));
   if (!it) fail(path, "is no certificate in PEM");
   if (X509_cmp_current_time(X509_get0_notAfter(it.get())) < 0)
-    fail(path, "expired on " + text_of(X509_get0_notAfter(it.get())));
+    fail(path, "expired on " + text_of(X509_get0_notAfter(it.get())) + make_anew);
   if (X509_cmp_current_time(X509_get0_notBefore(it.get())) > 0)
     fail(path, "is valid only from " + text_of(X509_get0_notBefore(it.get())));
   return it;
@@ -134,11 +138,14 @@ void secure(const std::string& folder, Role role, std::uint32_t domain,
   const std::string rules = signed_text(governance, signer.get(), permissions_ca);
   const std::string grants = signed_text(permissions, signer.get(), permissions_ca);
   const std::time_t now = std::time(nullptr);
-  if (time_in(grants, "not_after", permissions) < now) fail(permissions, "has expired");
+  if (time_in(grants, "not_after", permissions) < now)
+    fail(permissions, std::string("has expired") + make_anew);
   if (time_in(grants, "not_before", permissions) > now) fail(permissions, "is not valid yet");
 
   for (const auto& [path, text] : {std::pair{governance, rules}, std::pair{permissions, grants}})
-    if (!is_for(text, domain)) fail(path, fmt::format("is not for domain {}", domain));
+    if (!is_for(text, domain))
+      fail(path,
+           fmt::format("is not for domain {}; --domain of deploy/security/make says for which", domain));
 
   const auto set = [&qos](const std::string& property, const std::string& value) {
     qos.properties().properties().emplace_back("dds.sec." + property, value);

@@ -3,7 +3,7 @@
 #include <nlohmann/json.hpp>
 #include <sstream>
 
-#include "tests/services/bystander_.hpp"
+#include "tests/services/bystander.hpp"
 
 namespace weakgrid::test {
 namespace {
