@@ -12,8 +12,8 @@ namespace weakgrid {
 class AdmissibleArea {
  public:
   AdmissibleArea() noexcept = default;
-  /// A pure function of its arguments: some 10^4 assessments, 10^5 where no line of the raster meets the area. Areas, or bites out of one, that are smaller
-  /// than 1/25 of the largest |s| can be missed.
+  /// A pure function of its arguments: some 10^4 assessments, 10^5 where no line of the raster meets the
+  /// area. Areas, or bites out of one, that are smaller than 1/25 of the largest |s| can be missed.
   AdmissibleArea(const GridBox& box, const Converter& converter, const Limits& limits, double v_c) noexcept;
 
   bool is_of(const GridBox& box, const Converter& converter, const Limits& limits,

@@ -226,7 +226,7 @@ class Arbiter {
   std::optional<Reference> standing_;
   Course course_;
   std::uint32_t reference_id_ = 0;
-  AdmissibleArea area_;  ///< saves time, decides nothing
+  AdmissibleArea area_;         ///< saves time, decides nothing
   std::uint32_t room_end_ = 0;  // the last of the ids that were left, 0: none
   bool standing_is_known_ = true;
   bool blocked_ = false;

@@ -175,11 +175,9 @@ double slack(const GridBox& box, const Converter& converter, const Limits& limit
   return std::isnan(least) ? -1e300 : least;
 }
 
-double upper_slack(const GridBox& box, const Converter& converter, const Limits& limits,
+double upper_slack(const BoxState& x, const Converter& converter, const Limits& limits,
                    const Setpoint& setpoint) noexcept {
-  const SpaceVector s{setpoint.p, setpoint.q};
-  const BoxState x = box_state(box, converter.omega, s);
-  const StateMargins m = margins_of(x, converter, limits, s, setpoint.v_c);
+  const StateMargins m = margins_of(x, converter, limits, {setpoint.p, setpoint.q}, setpoint.v_c);
   const double control = m.control - limits.reserve.control, v_p = m.v_p_max - limits.reserve.pcc_voltage;
   return std::isnan(v_p) || v_p < control ? v_p : control;
 }

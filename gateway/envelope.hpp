@@ -109,11 +109,6 @@ double slack(const GridBox& box, const Converter& converter, const Limits& limit
 /// The same without the limits of v_c itself.
 double slack_in_plane(const GridBox& box, const Converter& converter, const Limits& limits,
                       const Setpoint& setpoint) noexcept;
-/// The same of the upper limits on |v_p| and on the bridge voltage alone, those that are not convex in (p,
-/// q).
-double upper_slack(const GridBox& box, const Converter& converter, const Limits& limits,
-                   const Setpoint& setpoint) noexcept;
-
 /// The extremes of the steady state over a box.
 struct BoxState {
   bool exists = false;  ///< on every grid; else only λ means anything
@@ -123,5 +118,10 @@ struct BoxState {
   Grid v_p_min_grid, v_p_max_grid;      ///< |i| = |s|/|v_p| is largest where |v_p| is smallest
 };
 BoxState box_state(const GridBox& box, double omega, SpaceVector s) noexcept;
+
+/// slack() of the upper limits on |v_p| and on the bridge voltage alone, those that are not convex in (p, q);
+/// `state` is that of the setpoint.
+double upper_slack(const BoxState& state, const Converter& converter, const Limits& limits,
+                   const Setpoint& setpoint) noexcept;
 
 }  // namespace weakgrid

@@ -12,38 +12,48 @@ namespace weakgrid {
 namespace {
 
 constexpr int n = 8;
-using Matrix = std::array<std::array<double, n>, n>;
+using Row = std::array<double, n>;
+using Matrix = std::array<Row, n>;
 using Polynomial = std::array<double, n + 1>;
 
-// Columns of A: the derivative of the state that is 1 in one place. δ of everything, in the frame that turns
-// at ω; e1 and y as the paper's, w = δv̂_p.
-Matrix linearised(const LoopModel& m, const Grid& grid, SpaceVector v, SpaceVector i) noexcept {
-  const double L = m.converter.L, L_g = grid.L_g, of_sum = 1.0 / (L + L_g);
-  const SpaceVector Z_g{grid.R_g, m.converter.omega * L_g};
-  const SpaceVector L_by_v = L * (SpaceVector{1.0, 0.0} / conj(v)), of_v = SpaceVector{1.0, 0.0} / v;
-  const double weight = L * abs2(i);
-  // Each state in a unit of its own, so that 1/s does not stand beside per unit: e1 is of the order of e2/k2,
-  // y of that of e1/100.
-  const double e1_unit = m.k2 / m.k1, y_unit = e1_unit * 1e-2;
-  const std::array<double, n> unit{1.0, 1.0, 1.0, 1.0, e1_unit, e1_unit, y_unit, y_unit};
-  const std::array<double, n> of_unit{1.0,           1.0,           1.0,          1.0,
-                                      1.0 / e1_unit, 1.0 / e1_unit, 1.0 / y_unit, 1.0 / y_unit};
-  Matrix A;
-  for (int column = 0; column < n; ++column) {
-    std::array<double, n> x{};
-    x[column] = unit[column];
-    const SpaceVector di{x[0], x[1]}, w{x[2], x[3]}, e1{x[4], x[5]}, y{x[6], x[7]};
-    const SpaceVector e2 = -1.0 * (conj(v) * di + conj(w) * i);            // eq:xi2_est
-    const SpaceVector minus_u = m.k1 * e1 + m.k2 * e2 + m.k3 * y;          // eq:u_est
-    const SpaceVector di_dt = of_sum * (w + L_by_v * minus_u - Z_g * di);  // eq:mu_est, eq:L+Lg di
-    const SpaceVector dv_p = L_g * di_dt + Z_g * di;                       // eq:vp
-    const SpaceVector dw_dt = m.kappa * (dv_p - w);                        // eq:dvp_est
+// Of the states (ŷ.im, ê1.im, i, v̂_p, ê1.re, ŷ.re), in this order: A[of][to] is what the state `of` adds to
+// the derivative of `to`, transposed, so that little is left to eliminate. In the frame that turns at ω; D is
+// d/dt times unit_s. e1 is in units of the order of e2/k2, y of that of e1/100, so that 1/s does not stand
+// beside per unit.
+Matrix linearised(const LoopModel& m, const Grid& grid, SpaceVector v, SpaceVector i,
+                  double unit_s) noexcept {
+  constexpr double e1_by_y = 100.0;
+  const double L = m.converter.L, L_g = grid.L_g, of_sum = unit_s / (L + L_g), e1_unit = m.k2 / m.k1;
+  const double L_g_by_unit = L_g / unit_s, D_kappa = unit_s * m.kappa, of_e1_unit = m.k1 / m.k2;
+  const SpaceVector Z_g{grid.R_g, m.converter.omega * L_g}, of_v = SpaceVector{1.0, 0.0} / v;
+  const SpaceVector by_u = (of_sum * L) * conj(of_v);  // of −u in Di: eq:mu_est, eq:L+Lg di
+  const SpaceVector weight_of_v = (L * abs2(i)) * of_v;
+  // What a state with these values adds; e2 of eq:xi2_est.
+  const auto row = [&](SpaceVector Di, SpaceVector i_, SpaceVector w, double e2_im) -> Row {
+    const SpaceVector v_p = L_g_by_unit * Di + Z_g * i_;  // eq:vp
+    const SpaceVector Dw = D_kappa * (v_p - w);           // eq:dvp_est
     // eq:xi1_est less its reference, of which |i_r|² moves with |v̂_p|.
-    const double de1_dt = weight * (dw_dt * of_v).re - (dv_p * conj(i) + v * conj(di)).re;
-    const std::array<double, n> derivative{di_dt.re, di_dt.im, dw_dt.re, dw_dt.im,
-                                           de1_dt,   e2.im,    e1.re,    e1.im};
-    for (int row = 0; row < n; ++row) A[row][column] = derivative[row] * of_unit[row];
-  }
+    const double De1 = (weight_of_v * Dw).re - unit_s * (v_p * conj(i) + v * conj(i_)).re;
+    return {0.0, unit_s * of_e1_unit * e2_im, Di.re, Di.im, Dw.re, Dw.im, of_e1_unit * De1, 0.0};
+  };
+  constexpr SpaceVector one{1.0, 0.0}, j{0.0, 1.0}, none{0.0, 0.0};
+  const auto of_current = [&](SpaceVector u) {
+    const SpaceVector e2 = -1.0 * (conj(v) * u);
+    return row(m.k2 * (by_u * e2) - of_sum * (Z_g * u), u, none, e2.im);
+  };
+  const auto of_voltage = [&](SpaceVector u) {
+    const SpaceVector e2 = -1.0 * (conj(u) * i);
+    return row(of_sum * u + m.k2 * (by_u * e2), none, u, e2.im);
+  };
+  const Row of_u_re = row(by_u, none, none, 0.0), of_u_im = row(times_j(by_u), none, none, 0.0);
+  Matrix A{of_u_im,         of_u_im,       of_current(one), of_current(j),
+           of_voltage(one), of_voltage(j), of_u_re,         of_u_re};
+  const double by_e1 = m.k1 * e1_unit, by_y = m.k3 * e1_unit / e1_by_y;  // eq:u_est
+  for (const int state : {1, 6})
+    for (double& x : A[state]) x *= by_e1;
+  for (const int state : {0, 7})
+    for (double& x : A[state]) x *= by_y;
+  A[1][0] = A[6][7] = e1_by_y * unit_s;  // ŷ integrates ê1
   return A;
 }
 
@@ -93,9 +103,7 @@ Polynomial characteristic(const Matrix& H) noexcept {
 LoopPolynomial loop_polynomial(const LoopModel& model, const Grid& grid, SpaceVector v_p,
                                SpaceVector i) noexcept {
   LoopPolynomial loop{{}, 1.0 / model.k2};
-  Matrix A = linearised(model, grid, v_p, i);
-  for (auto& row : A)
-    for (double& x : row) x *= loop.unit_s;
+  Matrix A = linearised(model, grid, v_p, i, loop.unit_s);
   to_hessenberg(A);
   loop.coefficients = characteristic(A);
   return loop;

@@ -15,12 +15,11 @@ Setpoint between(const Setpoint& a, const Setpoint& b, double share) noexcept {
 }
 
 // How much slack can change from one end of a piece to the other: the gradients of |v_p| and of the bridge
-// voltage, bounded over box and way. With a + jb = s Z̃_g: ∂W/∂a = 1 + V/√λ, ∂W/∂b = −2b/(V√λ).
-double slack_range(const GridBox& box, const Converter& c, const Setpoint& from,
-                   const Setpoint& to) noexcept {
+// voltage, bounded over box and way, on which λ is at least `lambda`. With a + jb = s Z̃_g: ∂W/∂a = 1 + V/√λ,
+// ∂W/∂b = −2b/(V√λ).
+double slack_range(const GridBox& box, const Converter& c, const Setpoint& from, const Setpoint& to,
+                   double lambda) noexcept {
   const SpaceVector s_0{from.p, from.q}, s_1{to.p, to.q};
-  const BoxState at_0 = box_state(box, c.omega, s_0), at_1 = box_state(box, c.omega, s_1);
-  const double lambda = std::min(at_0.lambda, at_1.lambda);  // concave: no less in between
   const double Z_g = abs(SpaceVector{box.R_g.high, c.omega * box.L_g.high});
   const double s = std::max(abs(s_0), abs(s_1)), V = box.V.low, root = std::sqrt(lambda);
   const double by_a = 1.0 + box.V.high / root, by_b = 2.0 * s * Z_g / (V * root);
@@ -42,21 +41,27 @@ std::optional<Setpoint> first_outside(const GridBox& box, const Converter& conve
   constexpr int deepest = 20;
   struct Piece {
     double at, length;
+    double lambda, lambda_after;  // at its ends
   };
+  const auto state_at = [&](const Setpoint& s) { return box_state(box, converter.omega, {s.p, s.q}); };
   std::array<Piece, deepest + 2> stack;
   int count = 0;
-  stack[count++] = {0.0, 1.0};
+  stack[count++] = {0.0, 1.0, state_at(from).lambda, state_at(to).lambda};
   for (int looked = 0; count > 0; ++looked) {
     const Piece piece = stack[--count];
-    const double middle = piece.at + 0.5 * piece.length;
-    const double here = upper_slack(box, converter, limits, between(from, to, middle));
-    if (!(here >= -tolerance)) return between(from, to, middle);
+    const double half = 0.5 * piece.length, at_half = piece.at + half;
+    const Setpoint middle = between(from, to, at_half);
+    const BoxState state = state_at(middle);
+    const double here = upper_slack(state, converter, limits, middle);
+    if (!(here >= -tolerance)) return middle;
+    // λ is concave: no less in between than at the ends.
     const double range =
-        slack_range(box, converter, between(from, to, piece.at), between(from, to, piece.at + piece.length));
+        slack_range(box, converter, between(from, to, piece.at), between(from, to, piece.at + piece.length),
+                    std::min(piece.lambda, piece.lambda_after));
     if (here + tolerance >= 0.5 * range) continue;
-    if (count + 2 > static_cast<int>(stack.size()) || looked > 4096) return between(from, to, middle);
-    stack[count++] = {middle, 0.5 * piece.length};
-    stack[count++] = {piece.at, 0.5 * piece.length};
+    if (count + 2 > static_cast<int>(stack.size()) || looked > 4096) return middle;
+    stack[count++] = {at_half, half, state.lambda, piece.lambda_after};
+    stack[count++] = {piece.at, half, piece.lambda, state.lambda};
   }
   return std::nullopt;
 }

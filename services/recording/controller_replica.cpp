@@ -142,11 +142,12 @@ const Measurement* ControllerReplica::sample_of(const Modulation& recorded) {
     const PlantStream& plant = inputs_.plants[plant_];
     const Measurement* due = plant.find(last_sample_step_ + 1);
     if (due != nullptr && fingerprint(*due) == recorded.measurement_fingerprint) other = due;
-    // Or the sample does: it is the one but for its step.
+    // Or the sample does: it is the one but for its step, and was not answered under the step it names. Of a
+    // blocked unit all samples are the same but for their steps.
     for (const Measurement& sample : plant.samples) {
       Measurement named = sample;
       named.step = recorded.step;
-      if (fingerprint(named) == recorded.measurement_fingerprint) other = &sample;
+      if (fingerprint(named) == recorded.measurement_fingerprint && !is_answered(sample)) other = &sample;
     }
     field = "step";
   }
@@ -164,6 +165,15 @@ const Measurement* ControllerReplica::sample_of(const Modulation& recorded) {
     lose(fmt::format("sample {} is not in the recording", recorded.step));
   }
   return nullptr;
+}
+
+// By this controller, among the samples of the plant listened to.
+bool ControllerReplica::is_answered(const Measurement& sample) const {
+  if (sample.step <= last_sample_step_) return sample.step >= inputs_.plants[plant_].first_step;
+  return std::any_of(answers_.begin(), answers_.end(), [&](const Answer& answer) {
+    return answer.modulation.step == sample.step &&
+           answer.modulation.measurement_fingerprint == fingerprint(sample);
+  });
 }
 
 bool ControllerReplica::accept_references(const Modulation& recorded) {

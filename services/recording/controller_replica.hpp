@@ -61,6 +61,7 @@ class ControllerReplica {
   void process(const Answer& answer);
   bool fill_gap(const Answer& answer);
   const Measurement* sample_of(const Modulation& recorded);
+  bool is_answered(const Measurement& sample) const;
   bool accept_references(const Modulation& recorded);
   void compare(const Modulation& recorded, const Modulation& computed);
   void meet_state(const Modulation& answer);

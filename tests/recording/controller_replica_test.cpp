@@ -1,0 +1,57 @@
+// One controller re-executed, fed by hand: what a blocked unit's samples, all the same but for their steps,
+// prove and what they do not.
+#include "services/recording/controller_replica.hpp"
+
+#include <gtest/gtest.h>
+
+#include <functional>
+
+#include "plant/emulator.hpp"
+
+namespace weakgrid {
+namespace {
+
+// Answers every sample of a blocked unit; the recording holds what `edit` leaves: false = nothing.
+std::uint64_t differences(const std::function<bool(Measurement&)>& edit) {
+  constexpr std::uint64_t steps = 2000;
+  Emulator emulator(EmulatorConfiguration{}, {});
+  Controller controller(ControllerConfiguration{});
+  UnitInputs inputs;
+  DifferenceLog differences;
+  ControllerReplica replica(1, "controller", inputs, differences, {});
+  replica.configure({}, "test");
+  EXPECT_TRUE(emulator.trip(Trip::overrun));
+  for (std::uint64_t k = 0; k < steps; ++k) {
+    const Measurement sample = emulator.sample();
+    const Modulation answer = controller.step(sample);
+    Measurement recorded = sample;
+    if (edit(recorded)) inputs.see("plant", recorded);
+    replica.note_sample();
+    replica.see(k + 1, answer);
+    replica.process(false);
+    emulator.advance(std::nullopt);
+  }
+  replica.process(true);
+  EXPECT_GT(replica.findings().compared, 0u);
+  EXPECT_EQ(replica.findings().identical, replica.findings().compared);
+  return differences.count();
+}
+
+TEST(ControllerReplica, ASampleOfABlockedUnitThatIsNotRecordedIsNoDifference) {
+  EXPECT_EQ(differences([](const Measurement&) { return true; }), 0u);
+  for (const std::uint64_t lost : {1u, 700u, 1500u, 1999u})
+    EXPECT_EQ(differences([&](const Measurement& m) { return m.step != lost; }), 0u) << lost;
+}
+
+TEST(ControllerReplica, ASampleThatNamesAnotherStepIsADifference) {
+  for (const std::uint64_t named : {1ull << 40, 5000ull})
+    EXPECT_EQ(differences([&](Measurement& m) {
+                if (m.step == 700) m.step = named;
+                return true;
+              }),
+              1u)
+        << named;
+}
+
+}  // namespace
+}  // namespace weakgrid
