@@ -189,6 +189,7 @@ struct Modulation {
   std::uint32_t status = 0;                   ///< ModulationStatus bits
   std::uint32_t newest_reference_id = 0;      ///< accepted before this step, perhaps not yet in force
   std::uint32_t measurement_fingerprint = 0;  ///< of the sample answered
+  std::uint64_t epoch = 0;                    ///< of its controller: a higher one replaces; no part of the law
   SpaceVector mu;
 };
 

@@ -19,6 +19,13 @@ class ControllerUnit {
   // On threads of the bus.
   void keep(const Reference& reference) { dialogue_.keep(reference); }
   void answer(const Measurement& measurement, const Arrival& from, const Reader<Measurement>& reader);
+  /// Of whoever writes it, this one as well.
+  void hear(const Modulation& modulation, const Arrival& from) {
+    if (from.writer != modulations_.id()) dialogue_.hear(modulation);
+  }
+  void hear(const ControllerState& state, const Arrival& from) {
+    if (from.writer != states_.id()) dialogue_.hear(state);
+  }
 
   void say(std::uint64_t malformed);
   const Health& said() const { return announcer_.said(); }
@@ -29,6 +36,7 @@ class ControllerUnit {
   Health health(std::uint64_t malformed);
 
   const std::string who_;  // in the log
+  const bool is_redundant_;
   ControllerDialogue dialogue_;
   const std::uint64_t state_every_;  // steps: 50 ms
   std::atomic<bool> running_{false};
@@ -59,6 +67,9 @@ class Controllers {
 
   const Units served_;
   std::vector<std::unique_ptr<ControllerUnit>> units_;
+  // For a controller that is one of two: what the other says.
+  std::optional<Reader<Modulation>> answers_;
+  std::optional<Reader<ControllerState>> states_;
   std::optional<Reader<Reference>> references_;
   std::optional<Reader<Measurement>> measurements_;
 };

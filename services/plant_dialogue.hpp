@@ -23,12 +23,14 @@ class PlantDialogue {
       : emulator_(configuration, events), until_(until) {}
 
   // From any one thread for each kind of message: waits for the loop.
-  /// False: another controller is listened to.
+  /// False: another controller is listened to, or one of a higher epoch has taken over.
   template <class Reader>
-  bool admit(WriterId controller, const Reader& reader, std::chrono::steady_clock::time_point now) noexcept {
-    if (one_controller_.admit(controller, reader, now) != OneWriter::Verdict::refused) return true;
-    count(foreign_);
-    return false;
+  bool admit(WriterId controller, std::uint64_t epoch, const Reader& reader,
+             std::chrono::steady_clock::time_point now) noexcept {
+    const OneWriter::Verdict verdict = one_controller_.admit(controller, reader, now, epoch);
+    if (verdict == OneWriter::Verdict::refused) count(foreign_);
+    if (verdict == OneWriter::Verdict::changed) count(controller_changes_);
+    return verdict != OneWriter::Verdict::refused;
   }
   void keep(const Modulation& modulation) noexcept { keep(modulations_, modulation); }
   void keep(const Reference& reference) noexcept {
@@ -68,6 +70,7 @@ class PlantDialogue {
   std::uint64_t late_modulations() const noexcept { return late_modulations_; }
   std::uint64_t saturated_answers() const noexcept { return saturated_; }
   std::uint64_t foreign() const noexcept { return foreign_; }
+  std::uint64_t controller_changes() const noexcept { return controller_changes_; }
   std::uint64_t overflow() const noexcept { return overflow_; }
   std::uint64_t refused_references() const noexcept { return refused_references_; }
   std::uint64_t refused_operations() const noexcept { return refused_operations_; }
@@ -89,8 +92,8 @@ class PlantDialogue {
   WaitingReferences references_;
   Mailbox<Operation, 16> operations_;
   std::atomic<std::uint32_t> newest_heard_{0};
-  Count late_modulations_{0}, saturated_{0}, foreign_{0}, overflow_{0}, refused_references_{0},
-      refused_operations_{0};
+  Count late_modulations_{0}, saturated_{0}, foreign_{0}, controller_changes_{0}, overflow_{0},
+      refused_references_{0}, refused_operations_{0};
 };
 
 }  // namespace weakgrid

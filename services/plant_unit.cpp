@@ -25,7 +25,7 @@ PlantUnit::PlantUnit(const Settings& settings, std::uint64_t until, Bus& bus)
 }
 
 void PlantUnit::take(const Modulation& modulation, const Arrival& from, const Reader<Modulation>& reader) {
-  if (!dialogue_.admit(from.writer, reader, std::chrono::steady_clock::now())) return;
+  if (!dialogue_.admit(from.writer, modulation.epoch, reader, std::chrono::steady_clock::now())) return;
   stages_[answer].durations.add(wall_time_ns() - from.sent_ns);
   // In real time the loop does not wait for it.
   if (pace_ == Pace::realtime && modulation.step == step_)
@@ -202,6 +202,7 @@ Health PlantUnit::health(std::uint64_t malformed) {
                      {"refused_references", dialogue_.refused_references()},
                      {"refused_operations", dialogue_.refused_operations()},
                      {"foreign_modulations", dialogue_.foreign()},
+                     {"controller_changes", dialogue_.controller_changes()},
                      {"malformed", malformed},
                      {"overflow", dialogue_.overflow()},
                      {"lease_ends", lease_ends_},

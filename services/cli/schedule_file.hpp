@@ -13,7 +13,4 @@ namespace weakgrid {
 /// default. Throws SettingsError: file, line, column and what is allowed.
 std::vector<TimedSetpoint> load_schedule(const std::string& file);
 
-/// A table as text, comma-separated; `name` stands for the file in errors.
-std::vector<TimedSetpoint> parse_table(const std::string& text, const std::string& name);
-
 }  // namespace weakgrid

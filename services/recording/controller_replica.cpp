@@ -199,6 +199,8 @@ void ControllerReplica::compare(const Modulation& recorded, const Modulation& co
     ++findings_.identical;
     return;
   }
+  Modulation named = computed;
+  named.epoch = recorded.epoch;  // who leads is no matter of the law
   const double distance = abs(recorded.mu - computed.mu);
   findings_.mu_distance_squares += distance * distance;
   if (distance > findings_.mu_distance_max) {
@@ -213,7 +215,7 @@ void ControllerReplica::compare(const Modulation& recorded, const Modulation& co
                           .field = {},
                           .recorded = {},
                           .computed = {}},
-                         fields_of(findings_.unit, recorded), fields_of(findings_.unit, computed));
+                         fields_of(findings_.unit, recorded), fields_of(findings_.unit, named));
 }
 
 // A state recorded of this step: compared, or gone on from.

@@ -88,13 +88,22 @@ Announcer::~Announcer() {
 
 void Announcer::say(Health health, std::span<const Stage> stages) noexcept {
   const auto now = std::chrono::steady_clock::now();
-  const bool changed = health.state != last_.state || health.reference_id != last_.reference_id ||
-                       health.text != last_.text || health.digest != last_.digest;
+  if (health.service.empty()) health.service = service_;
+  const bool changed = health.service != last_.service || health.state != last_.state ||
+                       health.reference_id != last_.reference_id || health.text != last_.text ||
+                       health.digest != last_.digest;
   // Where a unit has come to a stand, whoever waits for that step hears of it at once.
   const bool stands_still = health.step == seen_step_ && health.step != last_.step;
   seen_step_ = health.step;
   if (!changed && !stands_still && now - said_ < std::chrono::seconds(1)) return;
-  health.service = service_;
+  // Under another name from now on: nobody may take the old one's last word for the present.
+  if (!last_.service.empty() && health.service != last_.service) {
+    Health goodbye = last_;
+    goodbye.state = ServiceState::stopped;
+    goodbye.text = "is the " + health.service + " now";
+    goodbye.wall_time_ns = wall_time_ns();
+    (void)health_.write(goodbye);
+  }
   health.instance = instance_;
   health.wall_time_ns = wall_time_ns();
   if (!stages.empty()) health.timings = timings_of(stages);

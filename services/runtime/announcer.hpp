@@ -37,8 +37,8 @@ class Announcer {
   /// Says goodbye.
   ~Announcer();
 
-  /// Fills in service, instance and time; writes what differs from the last word in more than step and
-  /// counters, or in a step that stands still between two calls, or is a second old.
+  /// Fills in service, if it has none, instance and time; writes what differs from the last word in more than
+  /// step and counters, or in a step that stands still between two calls, or is a second old.
   void say(Health health, std::span<const Stage> stages = {}) noexcept;
 
   /// What it has said last; of the thread that says it.

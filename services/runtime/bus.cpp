@@ -134,6 +134,11 @@ int Writer<Message>::matched() const noexcept {
 }
 
 template <class Message>
+WriterId Writer<Message>::id() const noexcept {
+  return writer_id(impl_->writer->get_instance_handle());
+}
+
+template <class Message>
 struct Reader<Message>::Impl : dds::DataReaderListener {
   dds::Subscriber* subscriber;
   dds::DataReader* reader = nullptr;

@@ -37,8 +37,8 @@ struct Units {
 };
 
 /// One DDS participant: UDPv4 alone, on the interfaces given; with security under the identity of its role.
-/// Its threads have the signal mask and scheduling of the thread that makes it. Throws BusError; SettingsError
-/// for an interface that is not there or a file of the security's folder.
+/// Its threads have the signal mask and scheduling of the thread that makes it. Throws BusError;
+/// SettingsError for an interface that is not there or a file of the security's folder.
 class Bus {
  public:
   Bus(std::uint32_t domain, const DdsSettings& dds, Role role);
@@ -69,6 +69,8 @@ class Writer {
   bool wait_until_taken(std::chrono::milliseconds patience) noexcept;
   /// Readers matched now.
   int matched() const noexcept;
+  /// As readers know it.
+  WriterId id() const noexcept;
 
  private:
   struct Impl;

@@ -333,6 +333,17 @@ Settings settings_of(const toml::table& table, const std::string& name) {
   rising("protection", "dc_voltage", settings.protection.dc_voltage_min, settings.protection.dc_voltage_max);
   rising("gateway", "dc_voltage", settings.gateway.dc_voltage_min, settings.gateway.dc_voltage_max);
   rising("gateway", "pcc_voltage", settings.gateway.pcc_voltage_min, settings.gateway.pcc_voltage_max);
+  // Of two controllers: a unit that blocks before the second takes over has no use for it.
+  const double blocks_s = 1e-6 * settings.timing.period_us * settings.protection.holds_max;
+  if (settings.controller.redundancy != Redundancy::none && settings.plant.pace == Pace::realtime &&
+      settings.controller.takeover_s >= blocks_s) {
+    const char* const key =
+        table.at_path("controller.takeover_s") ? "controller.takeover_s" : "controller.redundancy";
+    fail(name, table.at_path(key).node()->source(), key,
+         fmt::format("takes over after {} s, and the unit blocks after {} s without an answer; allowed: "
+                     "controller.takeover_s below protection.holds_max * timing.period_us",
+                     settings.controller.takeover_s, blocks_s));
+  }
   check(settings.dds, [&](const char* key, const std::string& what) {
     fail(name, table.at_path("dds").at_path(key).node()->source(), std::string("dds.") + key, what);
   });

@@ -12,6 +12,7 @@
 #include "gateway/arbiter.hpp"
 #include "gateway/grid_evidence.hpp"
 #include "plant/emulator.hpp"
+#include "services/leadership.hpp"
 
 namespace weakgrid {
 
@@ -117,6 +118,8 @@ struct Settings {
     std::vector<double> settling_times_s = {0.001, 0.0011, 0.040};
     double notch_settling_time_s = 0.050;
     double predictor_rho = 0.6;
+    Redundancy redundancy = Redundancy::none;
+    double takeover_s = 0.020;
   } controller;
   struct {
     std::optional<Interval> grid_resistance, grid_reactance, grid_voltage;  // none: as in [grid]

@@ -21,6 +21,8 @@ inline constexpr Choice<AfterRestart> after_restarts[] = {{"resume", AfterRestar
 inline constexpr Choice<Pace> paces[] = {{"lockstep", Pace::lockstep}, {"realtime", Pace::realtime}};
 inline constexpr Choice<LoopTransport> loop_transports[] = {{"udp", LoopTransport::udp},
                                                             {"data_sharing", LoopTransport::data_sharing}};
+inline constexpr Choice<Redundancy> redundancies[] = {
+    {"none", Redundancy::none}, {"first", Redundancy::first}, {"second", Redundancy::second}};
 inline constexpr Choice<Overrun> overruns[] = {{"hold", Overrun::hold}, {"block", Overrun::block}};
 inline constexpr Choice<Quantity> quantities[] = {{"source_power", Quantity::source_power},
                                                   {"grid_resistance", Quantity::grid_resistance},
@@ -75,6 +77,8 @@ void visit(File& file, SettingsOrConst& s) {
     f.numbers("settling_times_s", s.controller.settling_times_s, 3, 1e-4, 10.0);
     f.number("notch_settling_time_s", s.controller.notch_settling_time_s, 1e-3, 100.0);
     f.number("predictor_rho", s.controller.predictor_rho, 0.0, 1.0);
+    f.word("redundancy", s.controller.redundancy, redundancies);
+    f.number("takeover_s", s.controller.takeover_s, 0.001, 10.0);
   });
   file.section("gateway", [&](auto& f) {
     f.interval("grid_resistance", s.gateway.grid_resistance, 0.0, 10.0);

@@ -132,6 +132,7 @@ void encode(const Modulation& m, wire::Modulation& out) {
   out.newest_reference_id(m.newest_reference_id);
   out.measurement_fingerprint(m.measurement_fingerprint);
   out.step(m.step);
+  out.epoch(m.epoch);
   out.modulation_alpha(m.mu.re);
   out.modulation_beta(m.mu.im);
 }
@@ -143,6 +144,7 @@ bool decode(const wire::Modulation& in, Modulation& m) {
        .status = in.status(),
        .newest_reference_id = in.newest_reference_id(),
        .measurement_fingerprint = in.measurement_fingerprint(),
+       .epoch = in.epoch(),
        .mu = {in.modulation_alpha(), in.modulation_beta()}};
   return true;
 }

@@ -106,9 +106,16 @@ WireFields list(const wire::Measurement& m) {
 }
 
 WireFields list(const wire::Modulation& m) {
-  return {FIELD(unit),   FIELD(period_ns),           FIELD(reference_id),
-          FIELD(status), FIELD(newest_reference_id), FIELD(measurement_fingerprint),
-          FIELD(step),   FIELD(modulation_alpha),    FIELD(modulation_beta)};
+  return {FIELD(unit),
+          FIELD(period_ns),
+          FIELD(reference_id),
+          FIELD(status),
+          FIELD(newest_reference_id),
+          FIELD(measurement_fingerprint),
+          FIELD(step),
+          FIELD(epoch),
+          FIELD(modulation_alpha),
+          FIELD(modulation_beta)};
 }
 
 WireFields list(const wire::SetpointRequest& m) {

@@ -2,6 +2,7 @@
 #include <benchmark/benchmark.h>
 
 #include <random>
+#include <string>
 
 #include "controller/gains.hpp"
 #include "gateway/arbiter.hpp"
@@ -40,7 +41,8 @@ void decide(benchmark::State& state, double p_low, double p_high, double q_low, 
     const Decision d = arbiter.decide(request(p(bits), q(bits), id), 1000 + std::uint64_t{id} * 1000);
     accepted += d.verdict == Verdict::accepted;
   }
-  state.counters["accepted"] = static_cast<double>(accepted) / static_cast<double>(state.iterations());
+  // No counter: the CSV reporter aborts unless every benchmark has it.
+  state.SetLabel(std::to_string(100 * accepted / id) + " % accepted");
 }
 
 BENCHMARK_CAPTURE(decide, accepted, 0.1, 0.6, 0.0, 0.2);

@@ -54,17 +54,20 @@ TEST_F(Deterministic, WhateverHappensWhatMustHoldHolds) {
     sum.trips += outcome.trips;
     sum.kills += outcome.kills;
     sum.fallbacks += outcome.fallbacks;
+    sum.takeovers += outcome.takeovers;
   }
   const std::chrono::duration<double> took = std::chrono::steady_clock::now() - begun;
   std::cout << seeds() << " seeds: " << sum.steps << " steps, " << sum.steps_running << " of them running, "
             << sum.accepted << " requests accepted, " << sum.refused << " refused, " << sum.fallbacks
-            << " fallbacks, " << sum.trips << " trips, " << sum.kills << " kills; " << took.count() << " s\n";
+            << " fallbacks, " << sum.trips << " trips, " << sum.takeovers << " takeovers, " << sum.kills
+            << " kills; " << took.count() << " s\n";
   // Else nothing was tried.
   EXPECT_GT(sum.steps_running, sum.steps / 3);
   EXPECT_GT(sum.accepted, seeds());
   EXPECT_GT(sum.refused, seeds());
   EXPECT_GT(sum.fallbacks, seeds() / 10);
   EXPECT_GT(sum.trips, seeds() / 10);
+  EXPECT_GT(sum.takeovers, seeds() / 10);
   EXPECT_GT(sum.kills, seeds() / 2);
 }
 

@@ -29,6 +29,7 @@ Settings draw_settings(Dice& dice) {
     s.gateway.ramp_s = 0.1;
     s.gateway.fallback_ramp_s = 0.1;
   }
+  if (dice.one_in(2)) s.controller.redundancy = Redundancy::first;
   s.gateway.grid_reactance = Interval{0.8 * s.grid.reactance, 1.2 * s.grid.reactance};
   s.gateway.grid_voltage = Interval{0.97, 1.02};
   return s;

@@ -36,7 +36,9 @@ void World::disturb() {
     process->goes_on = std::max(process->goes_on, now() + pause);
     spdlog::info("{}: {} {} stops for {} ms", when(), process->service, process->id, pause / 1ms);
   } else if (what < 9) {
-    if (plants_.size() + controllers_.size() < 12) dice_.one_in(3) ? start_plant() : start_controller();
+    if (plants_.size() + controllers_.size() < 12) {
+      dice_.one_in(3) ? start_plant() : start_controller(true_settings_.controller.redundancy);
+    }
   } else if (!gateways_.empty() && gateways_.back()->runs) {
     gateways_.back()->dies_before_word(static_cast<std::uint32_t>(dice_.below(4)));
   }
@@ -55,7 +57,7 @@ void World::kill(Process& process) {
     is_host_too ? journal_.cut_power(dice_, now()) : journal_.close();
     if (is_host_too) spdlog::info("{}: and its host", when());
   }
-  scheduler_.after(dice_.time(50ms, 600ms), [this, service = process.service] { start(service); });
+  scheduler_.after(dice_.time(50ms, 600ms), [this, &process] { start_again(process); });
 }
 
 void World::stop_in_order(Process& process) {
@@ -67,7 +69,7 @@ void World::stop_in_order(Process& process) {
     journal_.flush();
     journal_.close();
   }
-  scheduler_.after(dice_.time(50ms, 600ms), [this, service = process.service] { start(service); });
+  scheduler_.after(dice_.time(50ms, 600ms), [this, &process] { start_again(process); });
 }
 
 }  // namespace weakgrid::deterministic

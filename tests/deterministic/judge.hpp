@@ -58,6 +58,7 @@ class Judge {
     std::uint64_t fallback_since = 0;
     std::uint32_t outside_v_p = 0;  // samples in a row
     WriterId driver = 0;            // of the last answer admitted
+    std::uint64_t driver_epoch = 0;
     Time driver_heard{};
   };
   struct Law {
@@ -92,10 +93,11 @@ template <class IsGone>
 void Judge::see_admitted(WriterId plant, WriterId controller, Time now, const Modulation& answer,
                          IsGone is_gone) {
   Plant& p = plants_[plant];
-  if (p.driver != 0 && p.driver != controller && !is_gone(p.driver) &&
+  if (p.driver != 0 && p.driver != controller && answer.epoch <= p.driver_epoch && !is_gone(p.driver) &&
       now - p.driver_heard < OneWriter::silence_max)
     fail(answer.step, "two controllers drive one unit: one takes over from another that still speaks");
   p.driver = controller;
+  p.driver_epoch = answer.epoch;
   p.driver_heard = now;
 }
 

@@ -17,7 +17,8 @@ PlantProcess::PlantProcess(World& world, WriterId number)
 void PlantProcess::take(const Modulation& modulation, WriterId from) {
   const Matched matched{&world_, world_.now()};
   const Time now = world_.now();
-  const bool is_admitted = dialogue_([=](PlantDialogue& d) { return d.admit(from, matched, now); });
+  const bool is_admitted =
+      dialogue_([=](PlantDialogue& d) { return d.admit(from, modulation.epoch, matched, now); });
   if (!is_admitted && world_.bug() != Bug::no_fence) return;
   world_.judge().see_admitted(id, from, now, modulation,
                               [&](WriterId writer) { return !matched.is_alive(writer); });

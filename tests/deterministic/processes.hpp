@@ -73,14 +73,19 @@ class PlantProcess : public Process {
 
 class ControllerProcess : public Process {
  public:
-  ControllerProcess(World& world, WriterId number);
+  ControllerProcess(World& world, WriterId number, Redundancy redundancy);
   void take(const Measurement& measurement, WriterId from);
   void take(const Reference& reference);
+  void take(const Modulation& others);
+  void take(const ControllerState& others);
+  Redundancy redundancy() const { return redundancy_; }
+  std::uint64_t takeovers() const { return dialogue_->takeovers(); }
   Health health() const;
   std::optional<std::size_t> differs_at() const { return dialogue_.differs_at(); }
 
  private:
   World& world_;
+  const Redundancy redundancy_;
   Taped<ControllerDialogue> dialogue_;
   bool answers_ = false;
 };

@@ -37,7 +37,8 @@ Outcome World::run() {
     processes_.push_back(std::make_unique<Clients>(*this, 1));
     clients_ = static_cast<Clients*>(processes_.back().get());
     start_plant();
-    start_controller();
+    start_controller(true_settings_.controller.redundancy);
+    if (true_settings_.controller.redundancy != Redundancy::none) start_controller(Redundancy::second);
     start_gateway();
     plan_clients();
     plan_faults();
@@ -48,6 +49,7 @@ Outcome World::run() {
     outcome_.violation = violation;
     if (violation.step == 0) outcome_.violation->step = step_seen_;
   }
+  for (const ControllerProcess* controller : controllers_) outcome_.takeovers += controller->takeovers();
   outcome_.digest = digest_.value();
   return outcome_;
 }
@@ -70,7 +72,7 @@ void World::start_plant() {
   plant.step();
 }
 
-void World::start_controller() { say_health(start(controllers_)); }
+void World::start_controller(Redundancy redundancy) { say_health(start(controllers_, redundancy)); }
 
 void World::start_gateway() {
   GatewayMemory memory = journal_.open();
@@ -80,11 +82,11 @@ void World::start_gateway() {
   look_after(gateway);
 }
 
-void World::start(const char* service) {
-  const std::string name = service;
-  if (name == "plant") start_plant();
-  if (name == "controller") start_controller();
-  if (name == "gateway") start_gateway();
+void World::start_again(const Process& dead) {
+  if (dynamic_cast<const PlantProcess*>(&dead) != nullptr) start_plant();
+  if (const auto* controller = dynamic_cast<const ControllerProcess*>(&dead))
+    start_controller(controller->redundancy());
+  if (dynamic_cast<const GatewayProcess*>(&dead) != nullptr) start_gateway();
 }
 
 // What stands is told to who comes later.
@@ -148,6 +150,13 @@ void World::publish(const ControllerProcess& from, const Modulation& m) {
   digest_.add(std::uint64_t{bits_of(m)});
   for (PlantProcess* to : plants_)
     network_.best_effort(from, *to, [=, writer = from.id] { to->take(m, writer); });
+  for (ControllerProcess* to : controllers_)
+    if (to != &from) network_.best_effort(from, *to, [=] { to->take(m); });
+}
+
+void World::publish(const ControllerProcess& from, const ControllerState& state) {
+  for (ControllerProcess* to : controllers_)
+    if (to != &from && to->runs) network_.reliable(from, *to, [=] { to->take(state); });
 }
 
 void World::publish(const GatewayProcess& from, const Reference& reference) {

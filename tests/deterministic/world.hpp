@@ -12,7 +12,7 @@ struct Outcome {
   std::optional<Violation> violation;
   std::uint64_t steps = 0, steps_running = 0;
   std::uint32_t digest = 0;  ///< of every sample, answer, reference and decision, in their order
-  std::uint64_t accepted = 0, refused = 0, trips = 0, kills = 0, fallbacks = 0;
+  std::uint64_t accepted = 0, refused = 0, trips = 0, kills = 0, fallbacks = 0, takeovers = 0;
 };
 
 /// Violations are found, not thrown.
@@ -43,6 +43,7 @@ class World {
 
   void publish(const PlantProcess& from, const Measurement& measurement);
   void publish(const ControllerProcess& from, const Modulation& modulation);
+  void publish(const ControllerProcess& from, const ControllerState& state);
   void publish(const GatewayProcess& from, const Reference& reference);
   void publish(const GatewayProcess& from, const Operation& operation);
   void publish(const Clients& from, const Request& request, Asked asked, bool is_hostile);
@@ -65,9 +66,10 @@ class World {
   template <class Kind, class... Arguments>
   Kind& start(std::vector<Kind*>& all, Arguments&&... arguments);
   void start_plant();
-  void start_controller();
+  void start_controller(Redundancy redundancy);
   void start_gateway();
-  void start(const char* service);
+  /// What the service manager of its host does.
+  void start_again(const Process& dead);
   template <class Kind>
   void say_health(Kind& of);
   void look_after(GatewayProcess& gateway);

@@ -1,10 +1,12 @@
 // Exercise: see the header.
 #include "tests/fuzz/exercise.hpp"
 
+#include <cmath>
 #include <filesystem>
 #include <fstream>
 #include <stdexcept>
 
+#include "services/cli/schedule_table.hpp"
 #include "services/journal/journal_reader.hpp"
 #include "services/recording/csv_export.hpp"
 #include "services/recording/mcap_index.hpp"
@@ -182,6 +184,28 @@ void exercise_settings(std::string_view text) {
     claim(to_toml(parse_settings(written, "written")) == written, "settings written are settings read");
   } catch (const SettingsError&) {
     claim(false, "settings written can be read");
+  }
+}
+
+void exercise_schedule(std::string_view text) {
+  std::vector<TimedSetpoint> setpoints;
+  try {
+    setpoints = parse_table(std::string(text), "fuzz");
+  } catch (const SettingsError& error) {
+    claim(std::string_view(error.what()).substr(0, 4) == "fuzz", "an error names its file");
+    return;
+  }
+  claim(!setpoints.empty(), "a schedule asks for something");
+  double before_s = -1.0;
+  for (const TimedSetpoint& s : setpoints) {
+    claim(s.at_s > before_s && s.at_s <= 1e6, "times rise");
+    before_s = s.at_s;
+    claim(s.active_power || s.reactive_power || s.dc_voltage, "each setpoint asks for something");
+    for (const auto& power : {s.active_power, s.reactive_power})
+      claim(!power || std::abs(*power) <= 10.0, "powers are in range");
+    claim(!s.dc_voltage || (*s.dc_voltage > 0.0 && *s.dc_voltage <= 10.0), "voltages are in range");
+    claim(s.ramp_s >= 0.0 && s.ramp_s <= 60.0 && s.lease_s >= 0.0 && s.lease_s <= 86400.0,
+          "spans are in range");
   }
 }
 

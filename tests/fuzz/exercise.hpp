@@ -19,6 +19,8 @@ void exercise_recover(mcap::ByteView bytes, const std::string& folder);
 /// As each type of message.
 void exercise_payload(mcap::ByteView payload);
 void exercise_settings(std::string_view text);
+/// As the table of a schedule; as a settings file it is one of those.
+void exercise_schedule(std::string_view text);
 /// As a journal, in one piece and byte by byte; and each line as one of its own.
 void exercise_journal(std::string_view text);
 

@@ -23,6 +23,9 @@ using weakgrid::mcap::ByteView;
 [[maybe_unused]] void settings(ByteView bytes) {
   weakgrid::fuzz::exercise_settings({reinterpret_cast<const char*>(bytes.data()), bytes.size()});
 }
+[[maybe_unused]] void schedule(ByteView bytes) {
+  weakgrid::fuzz::exercise_schedule({reinterpret_cast<const char*>(bytes.data()), bytes.size()});
+}
 [[maybe_unused]] void journal(ByteView bytes) {
   weakgrid::fuzz::exercise_journal({reinterpret_cast<const char*>(bytes.data()), bytes.size()});
 }

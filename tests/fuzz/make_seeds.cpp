@@ -31,6 +31,7 @@ int main(int argc, char** argv) {
   }
   for (const auto& seed : payload_seeds()) write(folder / "payload", n++, seed);
   for (const auto& seed : settings_seeds()) write(folder / "settings", n++, std::as_bytes(std::span{seed}));
+  for (const auto& seed : schedule_seeds()) write(folder / "schedule", n++, std::as_bytes(std::span{seed}));
   for (const auto& seed : journal_seeds()) write(folder / "journal", n++, std::as_bytes(std::span{seed}));
   std::printf("%zu seeds in %s\n", n, argv[1]);
 }

@@ -112,6 +112,11 @@ TEST(Mutations, DamagedSettingsAreRefusedOrReadBackTheSame) {
   try_all(settings_seeds(), mcap::law_count(2000), [](const std::string& text) { exercise_settings(text); });
 }
 
+TEST(Mutations, ADamagedScheduleIsRefusedOrInOrder) {
+  try_all(schedule_seeds(), mcap::law_count(20'000),
+          [](const std::string& text) { exercise_schedule(text); });
+}
+
 TEST(Mutations, ADamagedJournalIsReadUpToItsFault) {
   try_all(journal_seeds(), mcap::law_count(20'000), [](const std::string& text) { exercise_journal(text); });
 }

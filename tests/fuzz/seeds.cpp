@@ -126,6 +126,12 @@ std::vector<std::string> settings_seeds() {
           "unit = { number = 1, domain = 2 }\n"};
 }
 
+std::vector<std::string> schedule_seeds() {
+  return {"at_s,active_power\n0,0.5\n1.5,0.25\n",
+          "# a day\nat_s, active_power, reactive_power, dc_voltage, ramp_s, lease_s\n"
+          "0, 0.5, -0.1, 1.84, 0.1, 60\n\n3600, , 0.2, , ,\n\"7200\",1e-3,,2,60,86400\r\n"};
+}
+
 std::vector<std::string> journal_seeds() {
   std::string text, previous = journal_beginning();
   std::vector<std::string> seeds;

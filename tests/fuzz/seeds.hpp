@@ -14,6 +14,8 @@ std::vector<mcap::Bytes> payload_seeds();
 /// where they are written meanwhile.
 std::vector<mcap::Bytes> recording_seeds(const std::string& folder);
 std::vector<std::string> settings_seeds();
+/// Tables.
+std::vector<std::string> schedule_seeds();
 /// Journals of one entry and of several.
 std::vector<std::string> journal_seeds();
 

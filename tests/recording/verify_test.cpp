@@ -198,6 +198,7 @@ TEST(Verify, RestartsOfEveryServiceATripAndAResetReexecuteToTheBit) {
   ASSERT_TRUE(bystander.runs());
   ASSERT_TRUE(bystander.order(0.5, 0.1));
   ASSERT_TRUE(bystander.goes_on());
+  let_the_recorder_hear();
   services["controller"].kill();
   services.start("controller");
   ASSERT_TRUE(bystander.goes_on());

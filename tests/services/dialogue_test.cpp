@@ -31,7 +31,7 @@ struct Pair {
   }
   Modulation step() {
     const Measurement m = sample();
-    const Modulation answer = *controller.answer(m);
+    const Modulation answer = *controller.answer(m, {});
     plant.keep(answer);
     plant.advance(plant.answer_to(m));
     return answer;
@@ -42,25 +42,153 @@ struct Pair {
   }
 };
 
+using Clock = std::chrono::steady_clock;
+using std::chrono::microseconds;
+using std::chrono::milliseconds;
+
+// A plant in lockstep, and two controllers of which the second follows; a step takes 100 µs, an unanswered
+// sample comes again after 20 ms.
+struct Redundant {
+  static constexpr WriterId ids[] = {1, 2};
+  PlantDialogue plant{{}, {}, for_ever};
+  ControllerDialogue first{{}, Redundancy::first}, second{{}, Redundancy::second};
+  bool first_runs = true, second_hears = true;
+  Clock::time_point now{std::chrono::hours(1)};
+
+  ControllerDialogue& of(WriterId id) { return id == 1 ? first : second; }
+  void tell_all(const Reference& reference) {
+    plant.keep(reference);
+    first.keep(reference);
+    second.keep(reference);
+  }
+  // What each makes of the sample, and hears of the other.
+  void send(const Measurement& m) {
+    for (const WriterId id : ids) {
+      if (id == 1 ? !first_runs : !second_hears) continue;
+      ControllerDialogue& self = of(id);
+      const auto answer = self.answer(m, now);
+      if (!answer) continue;
+      if (id == 1 || first_runs) {
+        of(3 - id).hear(*answer);
+        if (m.step % 50 == 0) of(3 - id).hear(self.controller().state());
+      }
+      if (plant.admit(id, answer->epoch, Anybody{}, now)) plant.keep(*answer);
+    }
+  }
+  // Time from when the sample was first sent to its answer; none: nobody answers for a second.
+  std::optional<milliseconds> step() {
+    plant.hear([](const Operation&) {});
+    const Measurement m = plant.emulator().sample();
+    const Clock::time_point sent = now;
+    for (; now - sent < std::chrono::seconds(1); now += milliseconds(20)) {
+      send(m);
+      if (const auto answer = plant.answer_to(m)) {
+        plant.advance(answer);
+        driver = *answer;
+        const auto waited = std::chrono::duration_cast<milliseconds>(now - sent);
+        now += microseconds(100);
+        return waited;
+      }
+    }
+    return std::nullopt;
+  }
+  Modulation driver;
+};
+
+TEST(Standby, TakesOverToTheBitAndWhoComesBackFollows) {
+  Redundant two;
+  Pair one;
+  for (int k = 0; k < 400; ++k) {
+    if (k == 20) {
+      two.tell_all(order(1, 0.5, 0.1, 30));
+      one.tell_both(order(1, 0.5, 0.1, 30));
+    }
+    if (k == 130) two.first_runs = false;
+    if (k == 300) two.first_runs = true;  // stopped, not killed: it goes on where it was
+    const auto waited = two.step();
+    ASSERT_TRUE(waited) << k;
+    EXPECT_EQ(waited->count(), k == 130 ? 20 : 0) << k;
+    const Modulation alone = one.step();
+    EXPECT_EQ(two.driver.epoch, k < 130 ? 1u : 2u) << k;
+    EXPECT_EQ(two.driver.mu.re, alone.mu.re) << k;
+    EXPECT_EQ(two.driver.mu.im, alone.mu.im) << k;
+    EXPECT_EQ(two.driver.status, alone.status) << k;
+  }
+  EXPECT_FALSE(two.first.leads());
+  EXPECT_TRUE(two.first.is_in_step()) << "it has taken the state of who leads";
+  EXPECT_EQ(two.second.takeovers(), 1u);
+  EXPECT_GT(two.plant.foreign(), 0u) << "it answered before it heard";
+  two.second_hears = false;
+  EXPECT_EQ(two.step()->count(), 20) << "and takes over in turn";
+  EXPECT_EQ(two.driver.epoch, 3u);
+}
+
+TEST(Standby, WhoJoinsLateIsInStepWithinAState) {
+  Redundant two;
+  two.tell_all(order(1, 0.5, 0.1, 30));
+  two.second_hears = false;
+  for (int k = 0; k < 160; ++k) ASSERT_TRUE(two.step());
+  two.second_hears = true;
+  for (int k = 160; k < 200; ++k) ASSERT_TRUE(two.step());
+  EXPECT_FALSE(two.second.is_in_step());
+  for (int k = 200; k < 203; ++k) ASSERT_TRUE(two.step());
+  EXPECT_TRUE(two.second.is_in_step());
+  EXPECT_FALSE(two.second.leads());
+}
+
+TEST(Standby, OutOfStepItStartsAnewAndNotFromAGuess) {
+  Redundant two;
+  two.tell_all(order(1, 0.5, 0.1, 30));
+  two.second_hears = false;
+  for (int k = 0; k < 160; ++k) ASSERT_TRUE(two.step());
+  two.second_hears = true;
+  for (int k = 160; k < 180; ++k) ASSERT_TRUE(two.step());
+  two.first_runs = false;
+  ASSERT_TRUE(two.step());
+  EXPECT_EQ(two.driver.epoch, 2u);
+  EXPECT_NE(two.driver.status & started, 0u);
+}
+
+TEST(Standby, WaitsForAFirstThatNeverComesAndThenLeads) {
+  Redundant two;
+  two.first_runs = false;
+  EXPECT_FALSE(two.step()) << "1 s";
+  EXPECT_FALSE(two.step()) << "2 s";
+  EXPECT_TRUE(two.step());
+  EXPECT_EQ(two.driver.epoch, 1u);
+}
+
+TEST(Standby, WhoWasStoppedItselfDoesNotTakeOver) {
+  Redundant two;
+  for (int k = 0; k < 60; ++k) ASSERT_TRUE(two.step());
+  two.second_hears = false;
+  for (int k = 60; k < 70; ++k) ASSERT_TRUE(two.step());
+  two.now += milliseconds(300);
+  two.second_hears = true;
+  for (int k = 70; k < 200; ++k) ASSERT_TRUE(two.step());
+  EXPECT_EQ(two.second.takeovers(), 0u);
+  EXPECT_TRUE(two.first.leads());
+}
+
 TEST(Dialogue, AnAnswerToAnotherPlantsSampleOfThatStepIsNotUsed) {
   Pair pair;
   for (int k = 0; k < 10; ++k) (void)pair.step();
   const Measurement own = pair.sample();
   Measurement other = own;
   other.i = {0.1, 0.0};
-  const Modulation answer_to_other = *ControllerDialogue({}).answer(other);
+  const Modulation answer_to_other = *ControllerDialogue({}).answer(other, {});
   ASSERT_EQ(answer_to_other.step, own.step);
   pair.plant.keep(answer_to_other);
   EXPECT_FALSE(pair.plant.answer_to(own));
   EXPECT_EQ(pair.plant.foreign(), 1u);
-  pair.plant.keep(*pair.controller.answer(own));
+  pair.plant.keep(*pair.controller.answer(own, {}));
   EXPECT_TRUE(pair.plant.answer_to(own)) << "and its own answer still comes in time";
 }
 
 TEST(Dialogue, AnAnswerThatNamesNoSampleIsTakenAtItsStep) {
   Pair pair;
   const Measurement own = pair.sample();
-  Modulation answer = *pair.controller.answer(own);
+  Modulation answer = *pair.controller.answer(own, {});
   answer.measurement_fingerprint = 0;
   pair.plant.keep(answer);
   EXPECT_TRUE(pair.plant.answer_to(own));

@@ -154,8 +154,8 @@ N
   sleep 0.2
   local before= after=
   # Who asks has to be let in first, which may take more than a moment.
-  for _ in {1..8}; do before=${before:-$(step)}; done
-  for _ in {1..8}; do after=${after:-$(step)}; done
+  for _ in {1..15}; do before=${before:-$(step)}; done
+  for _ in {1..15}; do after=${after:-$(step)}; done
   [ -n "$before" ] && [ "$before" = "$after" ] || fail "steps $before … $after while the controller was cut off"
   ip -n host2 link set eth0 up
   goes_on 30 || fail "the loop has not come back after its link has"

@@ -189,7 +189,8 @@ TEST_F(Notify, NotToldWhileATakerStandsNorWhileTheMainLoopDoes) {
 // The processes above have their main loop held up too, by what the taker holds. So that this is seen by
 // itself:
 TEST_F(Notify, ATakerThatDoesNotReturnIsNamedAndOneThatDoesIsNot) {
-  Bus bus(domain_.number(), DdsSettings{}, Role::client), other(domain_.number(), DdsSettings{}, Role::client);
+  Bus bus(domain_.number(), DdsSettings{}, Role::client),
+      other(domain_.number(), DdsSettings{}, Role::client);
   std::atomic<bool> let_go{true};
   std::atomic<int> taken{0};
   Reader<Operation> reader(bus, 1u, [&](const Operation&, Arrival) {

@@ -150,6 +150,8 @@ Settings random_settings(std::uint64_t seed) {
   for (auto* addresses : {&settings.dds.interfaces, &settings.dds.peers})
     for (std::size_t n = 0; n < addresses->size(); ++n)
       (*addresses)[n] = fmt::format("10.0.{}.{}", seed % 256, n);
+  if (settings.controller.takeover_s >= 1e-6 * settings.timing.period_us * settings.protection.holds_max)
+    settings.controller.redundancy = Redundancy::none;
   settings.dds.discovery_server.clear();
   if (seed % 3 == 0) {
     settings.dds.discovery_server = fmt::format("10.0.0.1:{}", 1 + seed % 65535);
@@ -327,6 +329,8 @@ TEST(Settings, EveryKeyHasAnEffect) {
                                              "plant.patience_s",
                                              "plant.pace",
                                              "plant.overrun",
+                                             "controller.redundancy",
+                                             "controller.takeover_s",
                                              "realtime.priority",
                                              "realtime.cpu",
                                              "realtime.lock_memory",
