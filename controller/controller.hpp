@@ -92,6 +92,8 @@ class Controller {
 
   /// The next sample starts it anew, whatever its step; a pending reference stays.
   void reset() noexcept;
+  /// The same for the unit that it follows: the references stay where they are.
+  void start_anew() noexcept { started_ = false; }
 
   SpaceVector v_p_hat() const noexcept { return state_.v_p_hat; }
   ControllerState state() const noexcept;

@@ -63,9 +63,9 @@ class ControllerDialogue {
     if (!is_redundant_) return modulation;
     const bool led = leadership_.leads();
     const bool leads = leadership_.answers(measurement.step, now);
-    // Out of step with who led it knows nothing: anew, as after a start.
+    // Out of step with who led it knows nothing but the references: anew, as after a start.
     if (leads && !led && !shadow_.is_in_step()) {
-      controller_.reset();
+      controller_.start_anew();
       modulation = controller_.step(measurement);
     }
     shadow_.note(measurement, modulation);

@@ -147,6 +147,7 @@ TEST(Standby, OutOfStepItStartsAnewAndNotFromAGuess) {
   ASSERT_TRUE(two.step());
   EXPECT_EQ(two.driver.epoch, 2u);
   EXPECT_NE(two.driver.status & started, 0u);
+  EXPECT_EQ(two.driver.reference_id, 1u) << "what is in force it knows";
 }
 
 TEST(Standby, WaitsForAFirstThatNeverComesAndThenLeads) {
