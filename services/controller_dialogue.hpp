@@ -69,6 +69,8 @@ class ControllerDialogue {
       modulation = controller_.step(measurement);
     }
     shadow_.note(measurement, modulation);
+    // After the sample, which the state may be of.
+    if (const auto state = heard_state_.take(); state && !leads) shadow_.adopt(*state, controller_);
     if (leads != led) count(takeovers_);
     publish();
     if (!leads) return std::nullopt;
@@ -100,8 +102,6 @@ class ControllerDialogue {
       if (led) shadow_.lose_step();
       shadow_.hear(*answer);
     }
-    const auto state = heard_state_.take();
-    if (state && !leadership_.leads()) shadow_.adopt(*state, controller_);
   }
   void publish() noexcept {
     leads_.store(leadership_.leads(), std::memory_order_relaxed);

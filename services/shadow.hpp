@@ -34,13 +34,16 @@ class Shadow {
   bool is_in_step() const noexcept { return is_in_step_; }
   void lose_step() noexcept { is_in_step_ = false; }
 
-  /// The leader's state. Another's is not looked at, nor one of a step that is long past.
+  /// The leader's state. Another's is not looked at, nor one of a step that is long past, nor of a sample
+  /// that was not had here: the leader may listen to another plant.
   void adopt(const ControllerState& state, Controller& law) noexcept {
     const std::uint64_t step = state.last.step;
     const Slot& of_state = slot_of(step);
     if (is_in_step_ || !of_state.has_heard || !is_same(of_state.heard, state.last)) return;
+    if (!of_state.has_own || of_state.own.step != step ||
+        of_state.own.measurement_fingerprint != state.last.measurement_fingerprint)
+      return;
     if (!is_finite(state.law)) return;  // it came over a network
-    if (last_ > step && last_ - step >= slots_.size()) return;
     law.restore(state);
     for (std::size_t n = 0; n < references_.size(); ++n) {
       const Reference& reference = references_[(noted_ + n) % references_.size()];

@@ -13,6 +13,7 @@ Client::Client(std::uint32_t domain, std::uint32_t unit, const DdsSettings& dds)
                      [this](const Health& health, Arrival) {
                        const std::lock_guard lock(mutex_);
                        peers_[{health.service, health.instance}] = health;
+                       forget_former_names(health.instance);
                        news_.notify_all();
                      }),
       manifest_reader_(bus_, unit,
@@ -35,6 +36,16 @@ Client::Client(std::uint32_t domain, std::uint32_t unit, const DdsSettings& dds)
                        }),
       requests_(bus_, unit),
       operations_(bus_, unit) {}
+
+// One of two controllers goes by the name of what it does now, and has said goodbye under the other.
+void Client::forget_former_names(std::uint64_t instance) {
+  const auto is_of = [&](const Peers::value_type& peer) { return peer.first.second == instance; };
+  const bool lives = std::ranges::any_of(
+      peers_, [&](const auto& peer) { return is_of(peer) && peer.second.state != ServiceState::stopped; });
+  if (lives)
+    std::erase_if(
+        peers_, [&](const auto& peer) { return is_of(peer) && peer.second.state == ServiceState::stopped; });
+}
 
 Client::~Client() {
   constexpr Patience moment{300};

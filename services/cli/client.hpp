@@ -43,10 +43,12 @@ class Client {
 
  private:
   void wait_for_recorders() const;
+  void forget_former_names(std::uint64_t instance);  // under the lock
 
   const std::uint64_t identity_;
   const std::chrono::steady_clock::time_point born_ = std::chrono::steady_clock::now();
   std::uint32_t last_id_ = 0;
+
   mutable std::mutex mutex_;
   mutable std::condition_variable news_;
   Peers peers_;
