@@ -106,16 +106,20 @@ void GatewayReplica::catch_up(std::uint32_t reference_id) {
 }
 
 UnitState GatewayReplica::state_at(const Decision& decision) const {
-  // The plant of that time is the last one that had come as far; a decision before any sample finds none.
+  // The plant of that time is the last one that had come as far, or one before it: to one that was killed a
+  // gateway listens on for a while, when a recorder has heard its successor long since. A decision before any
+  // sample finds none.
+  std::optional<UnitState> of_the_last;
   for (std::size_t n = plants_then_; n-- > 0;) {
     const auto& changes = inputs_->plants[n].states;
     if (changes.empty() || changes.front().first > decision.decided_step) continue;
     UnitState state = UnitState::running;
     for (const auto& [step, is] : changes)
       if (step <= decision.decided_step) state = is;
-    return state;
+    if (state == decision.unit_state) return state;
+    if (!of_the_last) of_the_last = state;
   }
-  return decision.unit_state;
+  return of_the_last.value_or(decision.unit_state);
 }
 
 const Request* GatewayReplica::request_of(const Decision& recorded) {
