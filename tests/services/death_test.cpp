@@ -47,7 +47,7 @@ class Death : public testing::Test {
   }
 
   const test::Domain domain_;
-  // Short of the 5 s it takes until a killed peer is known to be gone.
+  // Blocked within the 1.5 s that it takes until a killed peer gives way.
   const test::TextFile file_{
       "[grid]\nreactance = 0.3\n[plant]\npatience_s = 1.0\n[protection]\nholds_max = 7\n"};
   test::Services services_{domain_, file_.path()};
