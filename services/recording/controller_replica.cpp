@@ -94,7 +94,7 @@ void ControllerReplica::process(const Answer& answer) {
   last_step_ = recorded.step;
 
   const Measurement* sample = sample_of(recorded);
-  if (is_synced_ && accept_references(recorded) && sample != nullptr) {
+  if (is_synced_ && accept_references(recorded, sample) && sample != nullptr) {
     const Modulation computed = controller_->step(*sample);
     compare(recorded, computed);
     if (watch) watch(*sample, recorded, *controller_);
@@ -170,13 +170,26 @@ const Measurement* ControllerReplica::sample_of(const Modulation& recorded) {
 // By this controller, among the samples of the plant listened to.
 bool ControllerReplica::is_answered(const Measurement& sample) const {
   if (sample.step <= last_sample_step_) return sample.step >= inputs_.plants[plant_].first_step;
-  return std::any_of(answers_.begin(), answers_.end(), [&](const Answer& answer) {
+  const bool is = std::any_of(answers_.begin(), answers_.end(), [&](const Answer& answer) {
     return answer.modulation.step == sample.step &&
            answer.modulation.measurement_fingerprint == fingerprint(sample);
   });
+  return is || is_lost(sample);
 }
 
-bool ControllerReplica::accept_references(const Modulation& recorded) {
+// On its way to the controller, or its answer on the way to the recording: such a thing has happened
+// thereabouts.
+bool ControllerReplica::is_lost(const Measurement& sample) const {
+  if (answers_.empty() || answers_.back().modulation.step <= sample.step) return false;
+  for (auto answer = answers_.begin(); answer != answers_.end(); ++answer) {
+    const bool is_first = answer == answers_.begin();
+    if ((answer->modulation.status & gap) != 0) return true;
+    if (!is_first && answer->sequence != std::prev(answer)->sequence + 1) return true;
+  }
+  return false;
+}
+
+bool ControllerReplica::accept_references(const Modulation& recorded, const Measurement* sample) {
   const std::uint32_t newest = recorded.newest_reference_id;
   const std::uint32_t known = controller_->state().references.track.newest_id;
   if (newest <= known) return true;
@@ -186,9 +199,25 @@ bool ControllerReplica::accept_references(const Modulation& recorded) {
     return false;
   }
   // All since the last answer, in the order of issue: a renewal depends on what it renews.
-  for (auto at = inputs_.references.upper_bound(known); at != std::next(last); ++at)
-    controller_->accept(at->second);
+  auto first = known > 0 ? inputs_.references.upper_bound(known) : last;
+  if (known == 0 && sample != nullptr) first = first_heard(last, *sample, recorded);
+  for (auto at = first; at != std::next(last); ++at) controller_->accept(at->second);
   return true;
+}
+
+// Who joins late has heard no order of before: of those up to `last` the fewest that explain its answer.
+ControllerReplica::References ControllerReplica::first_heard(References last, const Measurement& sample,
+                                                             const Modulation& recorded) const {
+  constexpr int tries_max = 64;
+  References first = last;
+  for (int n = 0; n < tries_max; ++n) {
+    Controller trial = *controller_;
+    for (auto at = first; at != std::next(last); ++at) trial.accept(at->second);
+    if (same_bits(trial.step(sample), recorded)) return first;
+    if (first == inputs_.references.begin()) break;
+    --first;
+  }
+  return last;
 }
 
 void ControllerReplica::compare(const Modulation& recorded, const Modulation& computed) {

@@ -62,7 +62,10 @@ class ControllerReplica {
   bool fill_gap(const Answer& answer);
   const Measurement* sample_of(const Modulation& recorded);
   bool is_answered(const Measurement& sample) const;
-  bool accept_references(const Modulation& recorded);
+  bool is_lost(const Measurement& sample) const;
+  using References = std::map<std::uint32_t, Reference>::const_iterator;
+  bool accept_references(const Modulation& recorded, const Measurement* sample);
+  References first_heard(References last, const Measurement& sample, const Modulation& recorded) const;
   void compare(const Modulation& recorded, const Modulation& computed);
   void meet_state(const Modulation& answer);
   void lose(const std::string& why);

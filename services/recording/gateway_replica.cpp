@@ -100,8 +100,11 @@ void GatewayReplica::catch_up(std::uint32_t reference_id) {
     arbiter_->adopt(standing->second);
   else if (resumes_ && clients_.empty() && reference_id == newest_ + Arbiter::room)
     arbiter_->leave_room();
-  else
+  else {
+    // What the journal told it stands, and the recording does not hold it.
+    standing_is_lost_ = resumes_ && clients_.empty() && standing == inputs_->references.end();
     arbiter_->note_foreign_reference(reference_id);
+  }
   newest_ = reference_id;
 }
 
@@ -168,7 +171,12 @@ void GatewayReplica::decide(const DecisionMessage& message) {
     return;
   }
   const Request* request = request_of(recorded);
-  if (request == nullptr) {
+  if (request != nullptr && standing_is_lost_)
+    add_unchecked(findings_.unchecked, recorded.decided_step,
+                  fmt::format("reference {}, on which it went on, is not in the recording",
+                              recorded.standing_reference_id));
+  if (request == nullptr || standing_is_lost_) {
+    standing_is_lost_ = standing_is_lost_ && !recorded.reference;
     // What it led to stands all the same.
     if (recorded.reference && recorded.reference->id > newest_) {
       arbiter_->adopt(*recorded.reference);

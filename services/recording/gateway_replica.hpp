@@ -78,7 +78,8 @@ class GatewayReplica {
   std::set<std::pair<std::uint64_t, std::uint32_t>> answered_;  // by any recorded decision
   std::set<std::uint64_t> clients_;
   std::uint32_t newest_ = 0;  // reference known to the arbiter
-  bool is_late_ = false;      // its first decision is not recorded
+  bool standing_is_lost_ = false;
+  bool is_late_ = false;  // its first decision is not recorded
   const UnitInputs* inputs_ = nullptr;
   const Requests* requests_ = nullptr;
   const Strays* strays_ = nullptr;
