@@ -49,8 +49,7 @@ Campaign::Campaign(Surroundings surroundings)
     : seed_(fault_seed()),
       random_(seed_),
       surroundings_(std::move(surroundings)),
-      journal_(surroundings_.journal.empty() ? folder_ / "journal" : surroundings_.journal),
-      journals_{journal_} {
+      journal_(surroundings_.journal.empty() ? folder_ / "journal" : surroundings_.journal) {
   std::printf("WEAKGRID_FAULT_SEED=%llu\n", static_cast<unsigned long long>(seed_));
   for (const char* service : {"recorder", "plant", "controller", "gateway"}) start(service);
   surroundings_.at("", [this] {
@@ -79,17 +78,15 @@ std::string Campaign::settings(const std::string& service, const std::string& jo
 }
 
 test::Program& Campaign::start_as(const std::string& name, const std::string& service,
-                                  const std::string& file) {
+                                  const std::optional<std::string>& file) {
   auto& program = programs_[name];
   program.reset();
   auto& told = files_[name];
-  if (!told || !file.empty())
-    told = std::make_unique<test::TextFile>(settings(service, file.empty() ? journal_ : file));
-  if (service == "gateway" && !file.empty()) journals_.insert(file);
+  if (!told || file) told = std::make_unique<test::TextFile>(settings(service, file.value_or(journal_)));
   std::vector<std::string> arguments{"--settings", told->path(), "--domain", domain_.text()};
   if (service == "recorder") {
     arguments.push_back("--output");
-    arguments.push_back(file.empty() ? folder_ / "all.mcap" : file);
+    arguments.push_back(file.value_or(folder_ / "all.mcap"));
     for (const char* topic : {"measurement", "modulation", "reference", "setpoint_decision"}) {
       arguments.push_back("--await");
       arguments.push_back(std::string("weakgrid/") + topic);
@@ -195,12 +192,9 @@ void Campaign::expect_proof() {
   const test::Ended recording =
       test::run("weakgrid", {"verify", folder_ / "all.mcap"}, std::chrono::minutes(4));
   EXPECT_EQ(recording.status, 0) << recording.out << recording.err << "\nWEAKGRID_FAULT_SEED=" << seed_;
-  std::string told;
-  for (const std::string& file : journals_) {
-    const test::Ended journal = test::run("weakgrid", {"journal", file, "--verify"});
-    EXPECT_EQ(journal.status, 0) << journal.out << journal.err;
-    told += test::run("weakgrid", {"journal", file, "--json"}).out;
-  }
+  const test::Ended journal = test::run("weakgrid", {"journal", journal_, "--verify"});
+  EXPECT_EQ(journal.status, 0) << journal.out << journal.err;
+  const std::string told = test::run("weakgrid", {"journal", journal_, "--json"}).out;
   for (const std::uint32_t id : watch_->followed_unheard())
     EXPECT_NE(told.find("\"reference_id\":" + std::to_string(id)), std::string::npos)
         << "the unit has followed reference " << id << ", which no gateway has issued";

@@ -52,7 +52,8 @@ class Campaign {
   /// One that was killed, or another one under a name of its own; file: its journal or recording, if not the
   /// usual.
   test::Program& start(const std::string& service) { return start_as(service, service); }
-  test::Program& start_as(const std::string& name, const std::string& service, const std::string& file = "");
+  test::Program& start_as(const std::string& name, const std::string& service,
+                          const std::optional<std::string>& file = std::nullopt);
   void end(const std::string& name) { programs_.erase(name); }
   /// `second` goes on as `first`, which has ended.
   void takes_the_place(const std::string& second, const std::string& first);
@@ -91,7 +92,6 @@ class Campaign {
   const test::Domain domain_;
   const Folder folder_;
   const std::string journal_;
-  std::set<std::string> journals_;
   std::map<std::string, std::unique_ptr<test::TextFile>> files_;
   std::map<std::string, std::unique_ptr<test::Program>> programs_;
   std::unique_ptr<UnitWatch> watch_;

@@ -12,6 +12,25 @@ class ProcessFaults : public testing::TestWithParam<const char*> {
  protected:
   void SetUp() override { ASSERT_TRUE(campaign_.is_sound()); }
 
+  void two_gateways(const std::optional<std::string>& journal_of_the_second, const std::string& kind) {
+    for (std::uint64_t n = 0; n < injections(); ++n) {
+      campaign_.wait_for_any_phase();
+      campaign_.start_as("second", "gateway", journal_of_the_second);
+      campaign_.wait_for_any_phase();
+      campaign_.wait_for_any_phase();
+      EXPECT_TRUE(campaign_.is_sound()) << "with two gateways";
+      if (campaign_.random()() % 2 == 0) {
+        campaign_["gateway"].kill();
+        campaign_.takes_the_place("second", "gateway");
+      } else {
+        campaign_["second"].kill();
+        campaign_.end("second");
+      }
+      campaign_.expect_recovery(kind);
+    }
+    campaign_.expect_proof();
+  }
+
   Campaign campaign_{{.pace = GetParam()}};
 };
 
@@ -76,24 +95,15 @@ TEST_P(ProcessFaults, OfTwoControllersEitherMayDie) {
   campaign_.expect_proof();
 }
 
-// Each with a journal of its own: one journal lets one gateway in.
+// The second waits for the journal, 5 s at most: who holds that is the gateway.
 TEST_P(ProcessFaults, OfTwoGatewaysEitherMayDie) {
-  for (std::uint64_t n = 0; n < injections(); ++n) {
-    campaign_.wait_for_any_phase();
-    campaign_.start_as("second", "gateway", campaign_.folder() / ("journal_" + std::to_string(n)));
-    campaign_.wait_for_any_phase();
-    campaign_.wait_for_any_phase();
-    EXPECT_TRUE(campaign_.is_sound()) << "with two gateways";
-    if (campaign_.random()() % 2 == 0) {
-      campaign_["gateway"].kill();
-      campaign_.takes_the_place("second", "gateway");
-    } else {
-      campaign_["second"].kill();
-      campaign_.end("second");
-    }
-    campaign_.expect_recovery("two gateways, one killed");
-  }
-  campaign_.expect_proof();
+  two_gateways(std::nullopt, "two gateways, one journal, one killed");
+}
+
+// Not yet so: nothing keeps two gateways without a journal in common from giving one id to two references, of
+// which plant and controller may follow one each. To see it: --gtest_also_run_disabled_tests.
+TEST_P(ProcessFaults, DISABLED_OfTwoGatewaysWithoutAJournalInCommonEitherMayDie) {
+  two_gateways("", "two gateways, one killed");
 }
 
 INSTANTIATE_TEST_SUITE_P(Paces, ProcessFaults, testing::Values("realtime", "lockstep"),
