@@ -78,6 +78,7 @@ class ControllerReplica {
   std::deque<ControllerState> states_;  // by step, not yet met
   std::size_t plant_ = 0;               // index of the plant listened to; the first that may be, if none is
   bool listens_ = false, changes_plant_ = false;
+  bool has_joined_ = false;  // orders stood before it: until its first state nobody knows which it had heard
   bool is_synced_ = false;
   std::size_t samples_since_answer_ = 0;
   bool has_begun_ = false;

@@ -101,8 +101,8 @@ void GatewayReplica::catch_up(std::uint32_t reference_id) {
   else if (resumes_ && clients_.empty() && reference_id == newest_ + Arbiter::room)
     arbiter_->leave_room();
   else {
-    // What the journal told it stands, and the recording does not hold it.
-    standing_is_lost_ = resumes_ && clients_.empty() && standing == inputs_->references.end();
+    // It stands, and the recording does not hold it.
+    standing_is_lost_ = standing == inputs_->references.end();
     arbiter_->note_foreign_reference(reference_id);
   }
   newest_ = reference_id;
@@ -119,7 +119,8 @@ UnitState GatewayReplica::state_at(const Decision& decision) const {
     UnitState state = UnitState::running;
     for (const auto& [step, is] : changes)
       if (step <= decision.decided_step) state = is;
-    if (state == decision.unit_state) return state;
+    if (state == decision.unit_state || inputs_->plants[n].is_hole(decision.decided_step))
+      return decision.unit_state;
     if (!of_the_last) of_the_last = state;
   }
   return of_the_last.value_or(decision.unit_state);
@@ -135,6 +136,8 @@ const Request* GatewayReplica::request_of(const Decision& recorded) {
   // One that differs in nothing but its name is the one, unless it has been answered under its own.
   for (auto stray = strays_->requests.begin(); other == nullptr && stray != strays_->requests.end();
        ++stray) {
+    // Nothing but its name tells one renewal from another.
+    if (recorded.kind == RequestKind::renew) break;
     if (answered_.count(stray->first) != 0) continue;
     Request named = stray->second;
     named.client = recorded.client;
@@ -177,15 +180,7 @@ void GatewayReplica::decide(const DecisionMessage& message) {
                               recorded.standing_reference_id));
   if (request == nullptr || standing_is_lost_) {
     standing_is_lost_ = standing_is_lost_ && !recorded.reference;
-    // What it led to stands all the same.
-    if (recorded.reference && recorded.reference->id > newest_) {
-      arbiter_->adopt(*recorded.reference);
-      newest_ = recorded.reference->id;
-    }
-    Authority held;
-    held.give(recorded.holder, recorded.held_until_step);
-    arbiter_->adopt(held);
-    return;
+    return take_as_recorded(recorded);
   }
   const bool is_stale_id = recorded.verdict == Verdict::stale_request && recorded.field == Field::id;
   if (is_late_ && is_stale_id && clients_.count(recorded.client) == 0) {
@@ -210,8 +205,29 @@ void GatewayReplica::decide(const DecisionMessage& message) {
   compare(message, arbiter_->decide(*request, recorded.decided_step));
 }
 
+// What it led to stands all the same.
+void GatewayReplica::take_as_recorded(const Decision& recorded) {
+  if (recorded.reference && recorded.reference->id > newest_) {
+    arbiter_->adopt(*recorded.reference);
+    newest_ = recorded.reference->id;
+  }
+  Authority held;
+  held.give(recorded.holder, recorded.held_until_step);
+  arbiter_->adopt(held);
+}
+
 void GatewayReplica::compare(const DecisionMessage& message, const Decision& computed) {
   const Decision& recorded = message.decision;
+  // Until it orders something itself, what it knew of before is a guess: its journal is not in the recording.
+  const bool is_sure = !resumes_ || has_ordered_;
+  has_ordered_ = has_ordered_ || recorded.reference;
+  const WireFields as_recorded = fields_of(unit_, message);
+  if (!is_sure &&
+      !is_same(as_recorded, fields_of(unit_, DecisionMessage{computed, describe(computed, *timing_)}))) {
+    add_unchecked(findings_.unchecked, recorded.decided_step,
+                  "what its journal told it is not in the recording");
+    return take_as_recorded(recorded);
+  }
   ++findings_.decisions;
   if (recorded.verdict == Verdict::accepted) ++findings_.accepted_recorded;
   if (computed.verdict == Verdict::accepted) ++findings_.accepted_computed;
