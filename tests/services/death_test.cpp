@@ -74,8 +74,9 @@ TEST_F(Death, OfTheControllerThePlantHoldsThenBlocksAndARestartedOneJoins) {
 
   services_.start("controller");
   ASSERT_TRUE(goes_quickly());
-  EXPECT_TRUE(bystander_->is("controller", ServiceState::running, instance_["controller"]))
-      << bystander_->words();
+  EXPECT_TRUE(test::wait_until([&] {
+    return bystander_->is("controller", ServiceState::running, instance_["controller"]);
+  })) << bystander_->words();
   expect_untouched({"plant", "gateway"});
   EXPECT_TRUE(bystander_->is("plant", ServiceState::blocked_by_trip)) << "closes again only when told to";
 
