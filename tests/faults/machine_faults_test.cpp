@@ -81,7 +81,8 @@ TEST(MachineFaults, OneThatMayOpenNothingMoreGoesOn) {
   Campaign campaign;
   ASSERT_TRUE(campaign.is_sound());
   for (std::uint64_t n = 0; n < injections(); ++n)
-    for (const std::string& service : services) {
+    // A recorder that may open nothing ends its recording and says so, with exit status 3 in the end.
+    for (const std::string service : {"plant", "controller", "gateway"}) {
       const pid_t pid = campaign[service].pid();
       rlimit before{};
       ASSERT_EQ(prlimit(pid, RLIMIT_NOFILE, nullptr, &before), 0);

@@ -48,10 +48,10 @@ TEST_P(ProcessFaults, OneThatIsKilledIsMissedNoLongerThanItsSuccessorTakesToStar
 
 TEST_P(ProcessFaults, OfAClientThatIsKilledTheOrderEndsWithItsLease) {
   for (std::uint64_t n = 0; n < injections(); ++n) {
-    test::Program client("weakgrid",
-                         {"set", "--p", "0.2", "--q", "0.05", "--vc", "1.8385", "--name", Campaign::who,
-                          "--timeout", "10", "--lease", std::to_string(campaign_.lease_s() / 3.0), "--hold",
-                          "--domain", campaign_.domain().text()});
+    test::Program client("weakgrid", {"set", "--p", std::to_string(campaign_.uniform(0.1, 0.2)), "--q",
+                                      "0.05", "--vc", "1.8385", "--name", Campaign::who, "--timeout", "10",
+                                      "--lease", std::to_string(campaign_.lease_s() / 3.0), "--hold",
+                                      "--domain", campaign_.domain().text()});
     campaign_.wait_for_any_phase();
     campaign_.wait_for_any_phase();
     client.kill();

@@ -106,19 +106,6 @@ std::optional<Measurement> UnitWatch::sample() const {
   const std::lock_guard lock(mutex_);
   return sample_;
 }
-Time UnitWatch::heard_at() const {
-  const std::lock_guard lock(mutex_);
-  return heard_at_;
-}
-WriterId UnitWatch::plant() const {
-  const std::lock_guard lock(mutex_);
-  return plant_;
-}
-std::uint64_t UnitWatch::lease_end() const {
-  const std::lock_guard lock(mutex_);
-  const auto end = sample_ ? lease_ends_.find(sample_->reference_id) : lease_ends_.end();
-  return end == lease_ends_.end() ? 0 : end->second;
-}
 
 bool UnitWatch::follows(std::uint32_t id) const {
   const std::lock_guard lock(mutex_);

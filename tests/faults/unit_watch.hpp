@@ -21,12 +21,6 @@ class UnitWatch {
 
   Client& client() { return client_; }
   std::optional<Measurement> sample() const;
-  /// When the last sample was heard.
-  Time heard_at() const;
-  /// Who measures: changes with a restart of the plant.
-  WriterId plant() const;
-  /// Of the order that the unit follows, as far as it was heard; 0: it never ends, or none.
-  std::uint64_t lease_end() const;
   /// Plant and controller both have this order in force, and the unit runs on the controller's answers: it
   /// closes after a reset also if the plant listens to nobody, for the steps that it may hold.
   bool follows(std::uint32_t id) const;
