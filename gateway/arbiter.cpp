@@ -11,6 +11,8 @@
 namespace weakgrid {
 namespace {
 
+Setpoint target(const Reference& reference) noexcept { return {reference.p, reference.q, reference.v_c}; }
+
 // |v_g| that a grid can have.
 constexpr double V_min = 0.1, V_max = 2.0;
 
@@ -74,7 +76,7 @@ void Arbiter::adopt(const Reference& reference) noexcept {
 
 void Arbiter::follow(const Reference& reference) noexcept {
   (void)course_.track.accept(reference);
-  setpoint_ = {reference.p, reference.q, reference.v_c};
+  setpoint_ = target(reference);
   standing_ = reference;
   standing_is_known_ = true;
 }
@@ -294,7 +296,7 @@ void Arbiter::judge_renewal(const Request& request, std::uint64_t step_now, Deci
   if (++reference_id_ == 0) reference_id_ = 1;
   renewal.id = reference_id_;
   renewal.lease_end_step = std::max(renewal.lease_end_step, std::min(step_now, step_max) + steps(lease_s));
-  decision.setpoint = {renewal.p, renewal.q, renewal.v_c};
+  decision.setpoint = target(renewal);
   decision.reference = renewal;
   follow(renewal);
   authority_.give(request.who, renewal.lease_end_step);
@@ -336,14 +338,24 @@ Decision Arbiter::revalidate(Interval V, std::uint64_t step_now) noexcept {
 // What stands is judged anew on the grid as it is now known.
 void Arbiter::judge_standing(std::uint64_t step_now, Decision& decision) noexcept {
   decision.setpoint = setpoint_;
-  if (!standing_ || !standing_is_known_ || blocked_ || course_.track.fallen_back) return;
+  if (!standing_ || !standing_is_known_ || blocked_) return;
+  Course course = course_;
+  course.advance_to(step_now);
+  const std::optional<Reference> pending = course.track.pending;
+  if (course.track.fallen_back && !pending) return;
+  const bool holds = course.track.in_force && !course.track.fallen_back;
+  // What is in force until the newest order begins has to hold as well.
+  const bool present_may_stand =
+      !holds || !pending || may_stand(configuration_, target(*course.track.in_force));
   const Assessment now =
       assess(configuration_.box, configuration_.converter, configuration_.limits, setpoint_);
   decision.margins = now.margins;
   double ramp_s = configuration_.default_ramp_s;
-  if (now.admissible && certify(configuration_, setpoint_, setpoint_, ramp_s, &decision.margins)) return;
-  const std::uint64_t start = start_of({}, step_now);
-  Course course = course_;
+  const bool may_stand_itself =
+      now.admissible && certify(configuration_, setpoint_, setpoint_, ramp_s, &decision.margins);
+  if (may_stand_itself && present_may_stand) return;
+  std::uint64_t start = start_of({}, step_now);
+  if (present_may_stand && pending) start = std::max(start, pending->effective_step);
   course.advance_to(start);
   const Setpoint from = course.at(start);
   const Setpoint safe =

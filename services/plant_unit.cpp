@@ -154,7 +154,7 @@ void PlantUnit::pause() {
   while (!stopping_ && dialogue_.waits()) {
     pulse_.beat();
     // Who is silent for long gives way to another plant: the last word again, now and then.
-    if (!wake_.wait_until(monotonic_after(std::chrono::seconds(1))) && last_) send(*last_);
+    if (!wake_.wait_until(monotonic_after(repeat_after)) && last_) send(*last_);
     hear();
   }
   state_ = before;

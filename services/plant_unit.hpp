@@ -38,6 +38,8 @@ class PlantUnit {
 
  private:
   static constexpr std::chrono::milliseconds resend_after{20};
+  static constexpr std::chrono::milliseconds repeat_after{
+      500};  // while it waits; well within OneWriter::silence_max
   // Steps made up at once; before the next ones it hears operations and writes a sample.
   static constexpr std::uint64_t catch_up_max = 1000;
   static constexpr std::uint64_t yield_every = 1024;  // steps

@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <bit>
+#include <utility>
 
 namespace weakgrid {
 
@@ -12,6 +13,9 @@ namespace {
 
 // How many newer answers an answer waits for its sample, reference and state, which come by other readers.
 constexpr std::size_t lag = 512;
+
+constexpr const char* heard_unknown =
+    "which orders of before it had heard when it joined is not in the recording";
 
 bool same_bits(double a, double b) {
   return std::bit_cast<std::uint64_t>(a) == std::bit_cast<std::uint64_t>(b);
@@ -94,7 +98,7 @@ void ControllerReplica::process(const Answer& answer) {
   last_step_ = recorded.step;
 
   const Measurement* sample = sample_of(recorded);
-  if (is_synced_ && accept_references(recorded) && sample != nullptr) {
+  if (is_synced_ && accept_references(recorded, sample) && sample != nullptr) {
     const Modulation computed = controller_->step(*sample);
     compare(recorded, computed);
     if (watch) watch(*sample, recorded, *controller_);
@@ -127,7 +131,7 @@ const Measurement* ControllerReplica::sample_of(const Modulation& recorded) {
     const Measurement* sample = inputs_.plants[n].find(recorded.step);
     if (sample == nullptr) continue;
     if (recorded.measurement_fingerprint != 0 && fingerprint(*sample) != recorded.measurement_fingerprint) {
-      if (listens_ ? n == plant_ : inputs_.plants.size() == plant_ + 1) other = sample;
+      if (listens_ ? n == plant_ : inputs_.plants.size() == 1) other = sample;
       continue;
     }
     if (is_synced_ && (changes_plant_ || (listens_ && n != plant_))) controller_->reset();
@@ -170,13 +174,28 @@ const Measurement* ControllerReplica::sample_of(const Modulation& recorded) {
 // By this controller, among the samples of the plant listened to.
 bool ControllerReplica::is_answered(const Measurement& sample) const {
   if (sample.step <= last_sample_step_) return sample.step >= inputs_.plants[plant_].first_step;
-  return std::any_of(answers_.begin(), answers_.end(), [&](const Answer& answer) {
+  const bool is = std::any_of(answers_.begin(), answers_.end(), [&](const Answer& answer) {
     return answer.modulation.step == sample.step &&
            answer.modulation.measurement_fingerprint == fingerprint(sample);
   });
+  return is || is_lost(sample);
 }
 
-bool ControllerReplica::accept_references(const Modulation& recorded) {
+// On its way to the controller, or its answer on the way to the recording: such a thing has happened
+// thereabouts.
+bool ControllerReplica::is_lost(const Measurement& sample) const {
+  if (answers_.empty()) return false;
+  if (inputs_.plants[plant_].holes_near(answers_.front().modulation.step, lag) > 1) return true;
+  if (answers_.back().modulation.step <= sample.step) return false;
+  for (auto answer = answers_.begin(); answer != answers_.end(); ++answer) {
+    const bool is_first = answer == answers_.begin();
+    if ((answer->modulation.status & gap) != 0) return true;
+    if (!is_first && answer->sequence != std::prev(answer)->sequence + 1) return true;
+  }
+  return false;
+}
+
+bool ControllerReplica::accept_references(const Modulation& recorded, const Measurement* sample) {
   const std::uint32_t newest = recorded.newest_reference_id;
   const std::uint32_t known = controller_->state().references.track.newest_id;
   if (newest <= known) return true;
@@ -186,12 +205,35 @@ bool ControllerReplica::accept_references(const Modulation& recorded) {
     return false;
   }
   // All since the last answer, in the order of issue: a renewal depends on what it renews.
-  for (auto at = inputs_.references.upper_bound(known); at != std::next(last); ++at)
-    controller_->accept(at->second);
+  auto first = known > 0 ? inputs_.references.upper_bound(known) : last;
+  if (known == 0 && sample != nullptr) {
+    first = first_heard(last, *sample, recorded);
+    has_joined_ = last != inputs_.references.begin();
+  }
+  for (auto at = first; at != std::next(last); ++at) controller_->accept(at->second);
   return true;
 }
 
+// Who joins late has heard no order of before: of those up to `last` the fewest that explain its answer.
+ControllerReplica::References ControllerReplica::first_heard(References last, const Measurement& sample,
+                                                             const Modulation& recorded) const {
+  constexpr int tries_max = 64;
+  References first = last;
+  for (int n = 0; n < tries_max; ++n) {
+    Controller trial = *controller_;
+    for (auto at = first; at != std::next(last); ++at) trial.accept(at->second);
+    if (same_bits(trial.step(sample), recorded)) return first;
+    if (first == inputs_.references.begin()) break;
+    --first;
+  }
+  return last;
+}
+
 void ControllerReplica::compare(const Modulation& recorded, const Modulation& computed) {
+  if (has_joined_ && !same_bits(recorded, computed)) {
+    lose(heard_unknown);
+    return add_unchecked(findings_.unchecked, recorded.step, lost_because_);
+  }
   ++findings_.compared;
   if ((recorded.status & saturated) != 0) ++findings_.saturated_recorded;
   if ((computed.status & saturated) != 0) ++findings_.saturated_computed;
@@ -232,13 +274,19 @@ void ControllerReplica::meet_state(const Modulation& answer) {
   if (!is_synced_) {
     controller_->restore(recorded);
     is_synced_ = true;
+    has_joined_ = false;
     ++findings_.resumed;
     return;
   }
   if (options_.other_settings) return;
-  ++findings_.states_compared;
   const WireFields computed = fields_of(findings_.unit, controller_->state());
   const WireFields as_recorded = fields_of(findings_.unit, recorded);
+  if (std::exchange(has_joined_, false) && !is_same(as_recorded, computed)) {
+    controller_->restore(recorded);
+    ++findings_.resumed;
+    return add_unchecked(findings_.unchecked, step, heard_unknown);
+  }
+  ++findings_.states_compared;
   const std::uint64_t before = differences_.count();
   differences_.add_first({.unit = findings_.unit,
                           .step = step,

@@ -62,7 +62,10 @@ class ControllerReplica {
   bool fill_gap(const Answer& answer);
   const Measurement* sample_of(const Modulation& recorded);
   bool is_answered(const Measurement& sample) const;
-  bool accept_references(const Modulation& recorded);
+  bool is_lost(const Measurement& sample) const;
+  using References = std::map<std::uint32_t, Reference>::const_iterator;
+  bool accept_references(const Modulation& recorded, const Measurement* sample);
+  References first_heard(References last, const Measurement& sample, const Modulation& recorded) const;
   void compare(const Modulation& recorded, const Modulation& computed);
   void meet_state(const Modulation& answer);
   void lose(const std::string& why);
@@ -75,6 +78,7 @@ class ControllerReplica {
   std::deque<ControllerState> states_;  // by step, not yet met
   std::size_t plant_ = 0;               // index of the plant listened to; the first that may be, if none is
   bool listens_ = false, changes_plant_ = false;
+  bool has_joined_ = false;  // orders stood before it: until its first state nobody knows which it had heard
   bool is_synced_ = false;
   std::size_t samples_since_answer_ = 0;
   bool has_begun_ = false;

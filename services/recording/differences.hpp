@@ -22,6 +22,12 @@ struct Difference {
   WireField::Value recorded, computed;
 };
 
+/// Of two lists of the same fields.
+inline bool is_same(const WireFields& a, const WireFields& b) {
+  return std::equal(a.begin(), a.end(), b.begin(), b.end(),
+                    [](const WireField& x, const WireField& y) { return is_same(x.value, y.value); });
+}
+
 /// Counts all, keeps the first of each kind in the order of their steps.
 class DifferenceLog {
  public:

@@ -100,22 +100,30 @@ void GatewayReplica::catch_up(std::uint32_t reference_id) {
     arbiter_->adopt(standing->second);
   else if (resumes_ && clients_.empty() && reference_id == newest_ + Arbiter::room)
     arbiter_->leave_room();
-  else
+  else {
+    // It stands, and the recording does not hold it.
+    standing_is_lost_ = standing == inputs_->references.end();
     arbiter_->note_foreign_reference(reference_id);
+  }
   newest_ = reference_id;
 }
 
 UnitState GatewayReplica::state_at(const Decision& decision) const {
-  // The plant of that time is the last one that had come as far; a decision before any sample finds none.
+  // The plant of that time is the last one that had come as far, or one before it: to one that was killed a
+  // gateway listens on for a while, when a recorder has heard its successor long since. A decision before any
+  // sample finds none.
+  std::optional<UnitState> of_the_last;
   for (std::size_t n = plants_then_; n-- > 0;) {
     const auto& changes = inputs_->plants[n].states;
     if (changes.empty() || changes.front().first > decision.decided_step) continue;
     UnitState state = UnitState::running;
     for (const auto& [step, is] : changes)
       if (step <= decision.decided_step) state = is;
-    return state;
+    if (state == decision.unit_state || inputs_->plants[n].is_hole(decision.decided_step))
+      return decision.unit_state;
+    if (!of_the_last) of_the_last = state;
   }
-  return decision.unit_state;
+  return of_the_last.value_or(decision.unit_state);
 }
 
 const Request* GatewayReplica::request_of(const Decision& recorded) {
@@ -128,6 +136,8 @@ const Request* GatewayReplica::request_of(const Decision& recorded) {
   // One that differs in nothing but its name is the one, unless it has been answered under its own.
   for (auto stray = strays_->requests.begin(); other == nullptr && stray != strays_->requests.end();
        ++stray) {
+    // Nothing but its name tells one renewal from another.
+    if (recorded.kind == RequestKind::renew) break;
     if (answered_.count(stray->first) != 0) continue;
     Request named = stray->second;
     named.client = recorded.client;
@@ -164,16 +174,13 @@ void GatewayReplica::decide(const DecisionMessage& message) {
     return;
   }
   const Request* request = request_of(recorded);
-  if (request == nullptr) {
-    // What it led to stands all the same.
-    if (recorded.reference && recorded.reference->id > newest_) {
-      arbiter_->adopt(*recorded.reference);
-      newest_ = recorded.reference->id;
-    }
-    Authority held;
-    held.give(recorded.holder, recorded.held_until_step);
-    arbiter_->adopt(held);
-    return;
+  if (request != nullptr && standing_is_lost_)
+    add_unchecked(findings_.unchecked, recorded.decided_step,
+                  fmt::format("reference {}, on which it went on, is not in the recording",
+                              recorded.standing_reference_id));
+  if (request == nullptr || standing_is_lost_) {
+    standing_is_lost_ = standing_is_lost_ && !recorded.reference;
+    return take_as_recorded(recorded);
   }
   const bool is_stale_id = recorded.verdict == Verdict::stale_request && recorded.field == Field::id;
   if (is_late_ && is_stale_id && clients_.count(recorded.client) == 0) {
@@ -198,8 +205,29 @@ void GatewayReplica::decide(const DecisionMessage& message) {
   compare(message, arbiter_->decide(*request, recorded.decided_step));
 }
 
+// What it led to stands all the same.
+void GatewayReplica::take_as_recorded(const Decision& recorded) {
+  if (recorded.reference && recorded.reference->id > newest_) {
+    arbiter_->adopt(*recorded.reference);
+    newest_ = recorded.reference->id;
+  }
+  Authority held;
+  held.give(recorded.holder, recorded.held_until_step);
+  arbiter_->adopt(held);
+}
+
 void GatewayReplica::compare(const DecisionMessage& message, const Decision& computed) {
   const Decision& recorded = message.decision;
+  // Until it orders something itself, what it knew of before is a guess: its journal is not in the recording.
+  const bool is_sure = !resumes_ || has_ordered_;
+  has_ordered_ = has_ordered_ || recorded.reference;
+  const WireFields as_recorded = fields_of(unit_, message);
+  if (!is_sure &&
+      !is_same(as_recorded, fields_of(unit_, DecisionMessage{computed, describe(computed, *timing_)}))) {
+    add_unchecked(findings_.unchecked, recorded.decided_step,
+                  "what its journal told it is not in the recording");
+    return take_as_recorded(recorded);
+  }
   ++findings_.decisions;
   if (recorded.verdict == Verdict::accepted) ++findings_.accepted_recorded;
   if (computed.verdict == Verdict::accepted) ++findings_.accepted_computed;

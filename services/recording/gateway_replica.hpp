@@ -63,6 +63,7 @@ class GatewayReplica {
   void decide(const DecisionMessage& recorded);
   void look_for(const Reference& issued, std::uint64_t step);
   const Request* request_of(const Decision& recorded);
+  void take_as_recorded(const Decision& recorded);
   void compare(const DecisionMessage& recorded, const Decision& computed);
   void compare(const Reference& recorded, const Reference& computed, std::uint64_t step);
   UnitState state_at(const Decision& decision) const;
@@ -78,7 +79,8 @@ class GatewayReplica {
   std::set<std::pair<std::uint64_t, std::uint32_t>> answered_;  // by any recorded decision
   std::set<std::uint64_t> clients_;
   std::uint32_t newest_ = 0;  // reference known to the arbiter
-  bool is_late_ = false;      // its first decision is not recorded
+  bool standing_is_lost_ = false, has_ordered_ = false;
+  bool is_late_ = false;  // its first decision is not recorded
   const UnitInputs* inputs_ = nullptr;
   const Requests* requests_ = nullptr;
   const Strays* strays_ = nullptr;

@@ -20,6 +20,15 @@ struct PlantStream {
   std::deque<Measurement> samples;                          // steps rise
   std::vector<std::pair<std::uint64_t, UnitState>> states;  // from this step on
 
+  std::vector<std::pair<std::uint64_t, std::uint64_t>> holes;  // steps never heard, from … to
+
+  bool is_hole(std::uint64_t step) const { return holes_near(step, 0) > 0; }
+  /// Within so many steps.
+  std::size_t holes_near(std::uint64_t step, std::uint64_t distance) const {
+    return static_cast<std::size_t>(std::count_if(holes.begin(), holes.end(), [&](const auto& hole) {
+      return hole.first <= step + distance && step <= hole.second + distance;
+    }));
+  }
   const Measurement* find(std::uint64_t step) const {
     if (samples.empty() || step < samples.front().step) return nullptr;
     const std::uint64_t guess = step - samples.front().step;
@@ -42,7 +51,7 @@ struct UnitInputs {
       const auto known = std::find_if(plants.begin(), plants.end(),
                                       [&](const PlantStream& plant) { return plant.writer == writer; });
       if (known == plants.end())
-        plants.push_back({writer, m.step, {}, {}});
+        plants.push_back({writer, m.step, {}, {}, {}});
       else
         return see(*known, m);
     }
@@ -55,6 +64,8 @@ struct UnitInputs {
     if (samples.empty() || m.step > samples.back().step) {
       if (plant.states.empty() || plant.states.back().second != m.state)
         plant.states.emplace_back(m.step, m.state);
+      if (!samples.empty() && m.step > samples.back().step + 1)
+        plant.holes.emplace_back(samples.back().step + 1, m.step - 1);
       samples.push_back(m);
       if (samples.size() > samples_max) samples.pop_front();
       return;

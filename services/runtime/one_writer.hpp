@@ -9,13 +9,13 @@ namespace weakgrid {
 /// Who wrote a sample: a hash of the writer's GUID, never 0.
 using WriterId = std::uint64_t;
 
-/// Listens to one writer until that is gone, has been silent for 5 s, or another comes with a higher epoch,
+/// Listens to one writer until that is gone, has been silent for 1.5 s, or another comes with a higher epoch,
 /// so that two are never mixed in, and nobody who was replaced comes back.
 class OneWriter {
  public:
   enum class Verdict : std::uint8_t { known, changed, refused };
 
-  static constexpr std::chrono::seconds silence_max{5};
+  static constexpr std::chrono::milliseconds silence_max{1500};
 
   /// Reader: whatever says is_alive(writer), a Reader<Message> or what stands for it where there is no bus.
   template <class Reader>

@@ -7,6 +7,7 @@
 #include <fastrtps/xmlparser/XMLProfileManager.h>
 #include <ifaddrs.h>
 #include <netinet/in.h>
+#include <sys/resource.h>
 
 #include <algorithm>
 #include <fastdds/dds/domain/DomainParticipantFactory.hpp>
@@ -94,6 +95,16 @@ void expect_interfaces(const std::vector<std::string>& wanted) {
                           " is no address of this host; allowed:" + list.str());
 }
 
+// With too few Fast DDS finds no interface or opens no socket, says so to nobody, and is alone.
+void expect_descriptors() {
+  constexpr rlim_t least = 64;
+  rlimit limit{};
+  if (getrlimit(RLIMIT_NOFILE, &limit) == 0 && limit.rlim_cur < least)
+    throw BusError("DDS: " + std::to_string(limit.rlim_cur) +
+                   " file descriptors are allowed (RLIMIT_NOFILE), at least " + std::to_string(least) +
+                   " are needed");
+}
+
 rtps::Locator_t locator(const std::string& address, std::uint32_t port) {
   rtps::Locator_t locator(LOCATOR_KIND_UDPv4, port);
   rtps::IPLocator::setIPv4(locator, address);
@@ -144,6 +155,7 @@ dds::DomainParticipant* make_participant(std::uint32_t domain, const DdsSettings
                                          dds::DomainParticipantListener* listener,
                                          std::uint32_t receive_buffer_bytes) {
   keep_errors();
+  expect_descriptors();
   expect_interfaces(settings.interfaces);
   dds::DomainParticipantQos qos;
   qos.name(std::string("weakgrid-") + name(role));

@@ -224,6 +224,39 @@ TEST(Supervisor, AMeasuredVoltageThatNoKnownGridExplainsDeratesTooAndStaysKnown)
   EXPECT_EQ(ann.does(RequestKind::revalidate, 80'000).field, Field::kind) << "nobody's request";
 }
 
+// Found by seed 9850 of tests/deterministic: the next order waited while the unit was at its fallback.
+TEST(Supervisor, AMeasuredVoltageDeratesAnOrderThatWaitsAsWellAndNoSoonerThanItWasToBegin) {
+  constexpr std::uint64_t later = 100'000;
+  const auto later_to = [&](Asker& ann, double p, double lease_s) {
+    Request first;
+    first.given = given_p;
+    first.p = p < 0.9 ? 0.97 : 0.5;
+    first.lease_s = lease_s;
+    EXPECT_EQ(ann.ask(first, 1000).verdict, Verdict::accepted);
+    Request second;
+    second.given = given_p;
+    second.p = p;
+    second.effective_step = later;
+    EXPECT_EQ(ann.ask(second, 2000).verdict, Verdict::accepted);
+  };
+  for (const double lease_s : {0.5, 60.0}) {
+    Arbiter arbiter{weak_grid(0.1, 0.1)};
+    Asker ann(arbiter, holder("ann"), 1);
+    later_to(ann, 0.97, lease_s);
+    const Decision lower = arbiter.revalidate({0.9, 0.92}, 20'000);
+    ASSERT_TRUE(lower.reference) << lease_s;
+    EXPECT_LT(lower.reference->p, 0.95);
+    EXPECT_EQ(lower.reference->effective_step, later);
+  }
+  Arbiter arbiter{weak_grid(0.1, 0.1)};
+  Asker ann(arbiter, holder("ann"), 1);
+  later_to(ann, 0.3, 60.0);
+  const Decision lower = arbiter.revalidate({0.9, 0.92}, 20'000);
+  ASSERT_TRUE(lower.reference) << "what stands until then does not";
+  EXPECT_NEAR(lower.reference->p, 0.3, 1e-9);
+  EXPECT_LT(lower.reference->effective_step, 21'000u) << "so the next begins now";
+}
+
 TEST(Supervisor, StartStopAndResetAreInterlocked) {
   struct Case {
     RequestKind kind;

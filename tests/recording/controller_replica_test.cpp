@@ -53,5 +53,51 @@ TEST(ControllerReplica, ASampleThatNamesAnotherStepIsADifference) {
         << named;
 }
 
+// One that is started anew hears no order of before.
+TEST(ControllerReplica, WhoJoinsLateHasNotHeardTheOrdersOfBefore) {
+  Emulator emulator(EmulatorConfiguration{}, {});
+  Controller controller(ControllerConfiguration{});
+  UnitInputs inputs;
+  DifferenceLog differences;
+  ControllerReplica replica(1, "controller", inputs, differences, {});
+  replica.configure({}, "test");
+  Reference before{.id = 1, .q = 0.1, .v_c = 1.9, .ramp_steps = 100};
+  Reference heard{.id = 2, .q = -0.1, .v_c = 1.8, .effective_step = 300, .ramp_steps = 100};
+  inputs.references = {{1, before}, {2, heard}};
+  for (std::uint64_t k = 0; k < 1000; ++k) {
+    if (k == 100) {
+      EXPECT_TRUE(controller.accept(heard));
+    }
+    const Measurement sample = emulator.sample();
+    const Modulation answer = controller.step(sample);
+    inputs.see("plant", sample);
+    replica.see(k + 1, answer);
+    emulator.advance(command(answer));
+  }
+  replica.process(true);
+  EXPECT_EQ(replica.findings().identical, 1000u);
+  EXPECT_EQ(differences.count(), 0u);
+}
+
+// Of a blocked unit every sample is the other's twin: one that nobody has answered may be just that.
+TEST(ControllerReplica, OfABlockedUnitASampleThatTheControllerHasMissedIsNotTheOneThatTheRecordingHas) {
+  Emulator emulator(EmulatorConfiguration{}, {});
+  Controller controller(ControllerConfiguration{});
+  UnitInputs inputs;
+  DifferenceLog differences;
+  ControllerReplica replica(1, "controller", inputs, differences, {});
+  replica.configure({}, "test");
+  EXPECT_TRUE(emulator.trip(Trip::overrun));
+  std::uint64_t answers = 0;
+  for (std::uint64_t k = 0; k < 1000; ++k) {
+    const Measurement sample = emulator.sample();
+    if (k != 500) inputs.see("plant", sample);
+    if (k != 510) replica.see(++answers, controller.step(sample));
+    emulator.advance(std::nullopt);
+  }
+  replica.process(true);
+  EXPECT_EQ(differences.count(), 0u);
+}
+
 }  // namespace
 }  // namespace weakgrid

@@ -47,7 +47,7 @@ class Death : public testing::Test {
   }
 
   const test::Domain domain_;
-  // Short of the 5 s it takes until a killed peer is known to be gone.
+  // Blocked within the 1.5 s that it takes until a killed peer gives way.
   const test::TextFile file_{
       "[grid]\nreactance = 0.3\n[plant]\npatience_s = 1.0\n[protection]\nholds_max = 7\n"};
   test::Services services_{domain_, file_.path()};
@@ -74,8 +74,9 @@ TEST_F(Death, OfTheControllerThePlantHoldsThenBlocksAndARestartedOneJoins) {
 
   services_.start("controller");
   ASSERT_TRUE(goes_quickly());
-  EXPECT_TRUE(bystander_->is("controller", ServiceState::running, instance_["controller"]))
-      << bystander_->words();
+  EXPECT_TRUE(test::wait_until([&] {
+    return bystander_->is("controller", ServiceState::running, instance_["controller"]);
+  })) << bystander_->words();
   expect_untouched({"plant", "gateway"});
   EXPECT_TRUE(bystander_->is("plant", ServiceState::blocked_by_trip)) << "closes again only when told to";
 

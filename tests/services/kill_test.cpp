@@ -114,7 +114,7 @@ class Kill : public testing::TestWithParam<const char*> {
     const std::lock_guard lock(mutex_);
     EXPECT_EQ(worst_, "") << "outside its limits and not blocked";
   }
-  // A peer that was killed gives way after 5 s of silence.
+  // A peer that was killed gives way after 1.5 s of silence.
   ::testing::AssertionResult rejoins(const char* service) {
     services_.start(service);
     return bystander_->goes_on(test::long_enough, 50);
