@@ -5,6 +5,7 @@
 
 #include <cmath>
 #include <cstdio>
+#include <cstdlib>
 #include <fstream>
 #include <thread>
 
@@ -20,13 +21,18 @@ using Clock = std::chrono::steady_clock;
 double seconds_since(Time then) { return std::chrono::duration<double>(Clock::now() - then).count(); }
 
 // What is promised is 2 s; a busy machine may have other things to do.
-double recovery_max_s() { return static_cast<double>(from_environment("WEAKGRID_RECOVERY_MAX_S", 10)); }
+double recovery_max_s() { return static_cast<double>(from_environment("WEAKGRID_RECOVERY_MAX_S", 30)); }
 
 }  // namespace
 
 std::uint64_t fault_seed() {
   static const std::uint64_t seed = from_environment("WEAKGRID_FAULT_SEED", std::random_device{}());
   return seed;
+}
+
+std::vector<const char*> paces() {
+  if (std::getenv("WEAKGRID_INJECTIONS") == nullptr) return {"realtime"};
+  return {"realtime", "lockstep"};
 }
 
 std::uint64_t injections() { return from_environment("WEAKGRID_INJECTIONS", 1); }

@@ -6,6 +6,7 @@
 #include <functional>
 #include <memory>
 #include <random>
+#include <vector>
 
 #include "tests/faults/fault_table.hpp"
 #include "tests/faults/unit_watch.hpp"
@@ -13,6 +14,8 @@
 
 namespace weakgrid::faults {
 
+/// Of the plant: real time, and if somebody asks for a number of faults lockstep too.
+std::vector<const char*> paces();
 /// How often each kind of fault is injected.
 std::uint64_t injections();
 /// Of all that is drawn: WEAKGRID_FAULT_SEED, else one of this program's own. Printed.

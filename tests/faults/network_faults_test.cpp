@@ -83,7 +83,7 @@ TEST_P(NetworkFaults, ALinkGoesDownAndComesUp) {
   campaign_->expect_proof();
 }
 
-INSTANTIATE_TEST_SUITE_P(Paces, NetworkFaults, testing::Values("realtime", "lockstep"),
+INSTANTIATE_TEST_SUITE_P(Paces, NetworkFaults, testing::ValuesIn(paces()),
                          [](const auto& pace) { return std::string(pace.param); });
 
 }  // namespace

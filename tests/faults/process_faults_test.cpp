@@ -106,7 +106,7 @@ TEST_P(ProcessFaults, DISABLED_OfTwoGatewaysWithoutAJournalInCommonEitherMayDie)
   two_gateways("", "two gateways, one killed");
 }
 
-INSTANTIATE_TEST_SUITE_P(Paces, ProcessFaults, testing::Values("realtime", "lockstep"),
+INSTANTIATE_TEST_SUITE_P(Paces, ProcessFaults, testing::ValuesIn(paces()),
                          [](const auto& pace) { return std::string(pace.param); });
 
 }  // namespace
