@@ -69,8 +69,11 @@ void Arbiter::leave_room() noexcept {
 }
 
 void Arbiter::adopt(const Reference& reference) noexcept {
-  if (reference.id < reference_id_) return;
-  reference_id_ = reference.id;
+  // What stood before ids were left free stands, though a request has been decided meanwhile.
+  const bool is_before_room =
+      room_end_ != 0 && reference_id_ == room_end_ && room_end_ - reference.id == room;
+  if (reference.id < reference_id_ && !is_before_room) return;
+  reference_id_ = std::max(reference_id_, reference.id);
   follow(reference);
 }
 

@@ -319,6 +319,21 @@ TEST(Dialogue, AfterARestartNoIdIsGivenThatALostEndOfTheJournalMayHaveGiven) {
   EXPECT_GT(decision.reference->id, 4u + Arbiter::room);
 }
 
+// Found by seed 8578 of tests/deterministic.
+TEST(Dialogue, WhatStandsIsKnownAfterARestartThoughARequestComesBeforeTheFirstSample) {
+  Restarted r;
+  r.hear("plant", 4);
+  r.hear("controller", 4);
+  r.now += std::chrono::seconds(4);  // the unit stands still
+  EXPECT_EQ(r.ask(1, given_p).field, Field::given) << "nor is it guessed";
+  r.watch();
+  ASSERT_EQ(r.said.references.size(), 1u);
+  EXPECT_EQ(r.said.references[0].id, 4u);
+  const Decision decision = r.ask(2, given_p);
+  ASSERT_EQ(decision.verdict, Verdict::accepted);
+  EXPECT_GT(decision.reference->id, 4u + Arbiter::room);
+}
+
 TEST(Dialogue, ARestartedGatewayThatLearnsOfANewerOrderThanItsJournalsDoesNotGuess) {
   for (const bool late : {false, true}) {
     Restarted r;
