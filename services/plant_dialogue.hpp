@@ -8,6 +8,7 @@
 #include <span>
 
 #include "plant/emulator.hpp"
+#include "services/leadership.hpp"
 #include "services/runtime/mailbox.hpp"
 #include "services/runtime/messages.hpp"
 #include "services/runtime/one_writer.hpp"
@@ -27,6 +28,11 @@ class PlantDialogue {
   template <class Reader>
   bool admit(WriterId controller, std::uint64_t epoch, const Reader& reader,
              std::chrono::steady_clock::time_point now) noexcept {
+    // No controller has such a one, and none could replace it.
+    if (epoch > Leadership::epoch_max) {
+      count(foreign_);
+      return false;
+    }
     const OneWriter::Verdict verdict = one_controller_.admit(controller, reader, now, epoch);
     if (verdict == OneWriter::Verdict::refused) count(foreign_);
     if (verdict == OneWriter::Verdict::changed) count(controller_changes_);

@@ -43,6 +43,8 @@ class Shadow {
     if (!of_state.has_own || of_state.own.step != step ||
         of_state.own.measurement_fingerprint != state.last.measurement_fingerprint)
       return;
+    // However far the last sample has jumped: a bounded number of steps is done again.
+    if (last_ > step && last_ - step >= slots_.size()) return;
     if (!is_finite(state.law)) return;  // it came over a network
     law.restore(state);
     for (std::size_t n = 0; n < references_.size(); ++n) {

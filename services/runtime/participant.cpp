@@ -102,7 +102,7 @@ void expect_descriptors() {
   if (getrlimit(RLIMIT_NOFILE, &limit) == 0 && limit.rlim_cur < least)
     throw BusError("DDS: " + std::to_string(limit.rlim_cur) +
                    " file descriptors are allowed (RLIMIT_NOFILE), at least " + std::to_string(least) +
-                   " are needed");
+                   " are needed: ulimit -n, or LimitNOFILE= of its systemd unit");
 }
 
 rtps::Locator_t locator(const std::string& address, std::uint32_t port) {

@@ -123,6 +123,26 @@ TEST(Standby, TakesOverToTheBitAndWhoComesBackFollows) {
   EXPECT_EQ(two.driver.epoch, 3u);
 }
 
+TEST(Standby, ASampleFromFarAheadCostsNoMoreThanAnother) {
+  Redundant two;
+  two.second_hears = false;
+  for (int k = 0; k < 50; ++k) ASSERT_TRUE(two.step());
+  two.second_hears = true;
+  ASSERT_TRUE(two.step());  // step 50, whose state comes with it: the second joins, out of step
+  Measurement far = two.plant.emulator().sample();
+  far.step = std::uint64_t{1} << 60;
+  two.second.hear(two.first.controller().state());
+  (void)two.second.answer(far, two.now);  // to do all again in between would take for ever
+  EXPECT_FALSE(two.second.leads());
+}
+
+TEST(Standby, AnEpochThatNobodyCouldReplaceIsNobodys) {
+  Redundant two;
+  ASSERT_TRUE(two.step());
+  EXPECT_FALSE(two.plant.admit(3, ~std::uint64_t{0}, Anybody{}, two.now));
+  EXPECT_TRUE(two.plant.admit(3, 7, Anybody{}, two.now)) << "another may take over";
+}
+
 TEST(Standby, WhoJoinsLateIsInStepWithinAState) {
   Redundant two;
   two.tell_all(order(1, 0.5, 0.1, 30));
