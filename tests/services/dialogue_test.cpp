@@ -125,10 +125,12 @@ TEST(Standby, TakesOverToTheBitAndWhoComesBackFollows) {
 
 TEST(Standby, ASampleFromFarAheadCostsNoMoreThanAnother) {
   Redundant two;
+  two.tell_all(order(1, 0.5, 0.1, 30));
   two.second_hears = false;
-  for (int k = 0; k < 50; ++k) ASSERT_TRUE(two.step());
+  for (int k = 0; k < 60; ++k) ASSERT_TRUE(two.step());
   two.second_hears = true;
-  ASSERT_TRUE(two.step());  // step 50, whose state comes with it: the second joins, out of step
+  ASSERT_TRUE(two.step());
+  ASSERT_FALSE(two.second.is_in_step());
   Measurement far = two.plant.emulator().sample();
   far.step = std::uint64_t{1} << 60;
   two.second.hear(two.first.controller().state());
