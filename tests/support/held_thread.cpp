@@ -9,9 +9,13 @@
 #include <filesystem>
 #include <fstream>
 #include <iterator>
+#include <map>
 #include <sstream>
 #include <stdexcept>
+#include <thread>
 #include <vector>
+
+#include "tests/support/test_domain.hpp"
 
 namespace weakgrid::test {
 
@@ -21,9 +25,11 @@ namespace {
   throw std::runtime_error("thread " + std::to_string(thread) + ": " + what);
 }
 
+// Not for ever: a thread that waits for what never comes makes no call either.
 void wait_for_stop(pid_t thread) {
   int status = 0;
-  if (waitpid(thread, &status, __WALL) != thread || !WIFSTOPPED(status)) fail(thread, "does not stop");
+  if (!wait_until([&] { return waitpid(thread, &status, __WALL | WNOHANG) != 0; }) || !WIFSTOPPED(status))
+    fail(thread, "does not stop");
 }
 
 bool is_about_to_send(pid_t thread) {
@@ -61,6 +67,9 @@ HeldThread::HeldThread(pid_t thread, Where where) : thread_(thread) {
       wait_for_stop(thread);
     }
   } catch (...) {
+    ptrace(PTRACE_INTERRUPT, thread, nullptr, nullptr);  // only one that stands can be let go
+    int status = 0;
+    (void)wait_until([&] { return waitpid(thread, &status, __WALL | WNOHANG) != 0; }, milliseconds(1000));
     ptrace(PTRACE_DETACH, thread, nullptr, nullptr);
     throw;
   }
@@ -75,14 +84,22 @@ pid_t thread_named(pid_t process, const std::string& name) {
 }
 
 pid_t busiest_thread(pid_t process) {
+  const auto spent = [&] {
+    std::map<pid_t, std::uint64_t> ns;  // on a processor
+    for (const pid_t thread : threads(process))
+      std::istringstream(text_of(process, thread, "schedstat")) >> ns[thread];
+    ns.erase(process);
+    return ns;
+  };
+  const auto before = spent();
+  std::this_thread::sleep_for(milliseconds(300));
   pid_t busiest = -1;
   std::uint64_t most = 0;
-  for (const pid_t thread : threads(process)) {
-    std::istringstream spent(text_of(process, thread, "schedstat"));  // ns on a processor
-    std::uint64_t ns = 0;
-    spent >> ns;
-    if (thread == process || ns < most) continue;
-    most = ns;
+  for (const auto& [thread, ns] : spent()) {
+    const auto known = before.find(thread);
+    const std::uint64_t here = ns - (known == before.end() ? 0 : known->second);
+    if (here <= most) continue;
+    most = here;
     busiest = thread;
   }
   return busiest;

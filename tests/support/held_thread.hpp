@@ -23,7 +23,8 @@ class HeldThread {
 
 /// The thread of this name.
 pid_t thread_named(pid_t process, const std::string& name);
-/// The one, beside the first, that has computed most.
+/// The one, beside the first, that computes most from now on, for 0.3 s: what has computed most by now may
+/// have done so at the start.
 pid_t busiest_thread(pid_t process);
 
 }  // namespace weakgrid::test
