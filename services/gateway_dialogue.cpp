@@ -11,7 +11,7 @@
 
 namespace weakgrid {
 
-GatewayDialogue::GatewayDialogue(const Settings& settings, const std::string& who,
+GatewayDialogue::GatewayDialogue(const Settings& settings, std::uint64_t instance, const std::string& who,
                                  const GatewayMemory& memory, GatewayOutlet& outlet, Time now)
     : unit_(settings.unit.number),
       who_(who),
@@ -20,6 +20,7 @@ GatewayDialogue::GatewayDialogue(const Settings& settings, const std::string& wh
       started_(now),
       outlet_(outlet),
       memory_(memory.reference ? std::optional(memory) : std::nullopt),
+      precedence_(instance, now),
       arbiter_(arbiter_configuration(settings)),
       evidence_(evidence_configuration(settings)) {
   note_event("started", "the gateway has started");
@@ -32,8 +33,28 @@ void GatewayDialogue::stop() {
   spdlog::info("{}stopped after {} accepted and {} rejected requests", who_, accepted_, rejected_);
 }
 
+// One of several serves. What another has ordered meanwhile, and in whose name, nobody here knows: as after a
+// restart without a journal.
+bool GatewayDialogue::may_act(Time now) {
+  const auto change = precedence_.ask(has_heard_all(now), now);
+  if (precedence_.is_another_there(now) && !precedence_.acts()) {
+    if (!std::exchange(has_yielded_, true)) spdlog::info("{}stands by: another gateway serves", who_);
+    memory_.reset();
+  }
+  if (change == Precedence::Change::ends) note_event("standby", "another gateway serves");
+  if (change == Precedence::Change::begins && std::exchange(has_yielded_, false)) {
+    arbiter_.leave_room();
+    arbiter_.forget();
+    said_.reset();
+    const std::string text = "serves from now on: the gateway that did is silent";
+    note_event("takeover", text);
+    spdlog::warn("{}{}", who_, text);
+  }
+  return precedence_.acts() && has_heard_all(now);
+}
+
 void GatewayDialogue::decide(const Request& request, Time now) {
-  if (!has_looked_around(now)) return;  // clients repeat
+  if (!may_act(now) || !has_looked_around(now)) return;  // clients repeat
   if (!heard_plant_ && !heard_controller_ && !arbiter_.standing()) arbiter_.forget();
   if (memory_) leave_room();
   const Holder before = arbiter_.authority().holder();
@@ -58,7 +79,7 @@ void GatewayDialogue::watch(const Measurement& measurement, bool is_another, Tim
   step_ = measurement.step;
   arbiter_.note_unit(measurement.state);
   is_another_ = is_another_ || is_another;
-  is_unseen_ = !has_heard_all(now);
+  is_unseen_ = !may_act(now);
   if (is_unseen_) return;
   if (memory_) go_on(measurement);
   const Rules& rules = arbiter_.rules();
@@ -78,14 +99,16 @@ void GatewayDialogue::watch(const Measurement& measurement, bool is_another, Tim
   if (!measurement.blocked) arbiter_.unblock();
 }
 
-void GatewayDialogue::hear(const Health& health) {
+void GatewayDialogue::hear(const Health& health, Time now) {
+  precedence_.hear(health, now);
   if (health.service == "gateway" || health.state == ServiceState::stopped) return;
   arbiter_.note_foreign_reference(health.reference_id);
   heard_plant_ = heard_plant_ || health.service == "plant";
   heard_controller_ = heard_controller_ || health.service == "controller";
 }
 
-void GatewayDialogue::look_after() {
+void GatewayDialogue::look_after(Time now) {
+  if (!may_act(now)) return;
   watch_lease();
   say_envelope();
 }
@@ -244,7 +267,7 @@ bool GatewayDialogue::has_heard_all(Time now) const {
 }
 
 bool GatewayDialogue::has_looked_around(Time now) const {
-  return has_heard_all(now) && ((!memory_ && !is_unseen_) || now - started_ > std::chrono::seconds(3));
+  return precedence_.acts() && has_heard_all(now) && ((!memory_ && !is_unseen_) || now - started_ > std::chrono::seconds(3));
 }
 
 Health GatewayDialogue::health(Time now) const {
@@ -252,6 +275,11 @@ Health GatewayDialogue::health(Time now) const {
   health.state = has_looked_around(now) ? ServiceState::running : ServiceState::starting;
   if (!fallback_holds_) health.text = "the fallback does not hold on every grid that may be";
   if (health.state == ServiceState::starting) health.text = "looks around for plant and controller";
+  if (has_yielded_) {
+    health.service = "standby gateway";  // nobody takes it for the one that decides
+    health.state = ServiceState::waiting;
+    health.text = "stands by: another gateway serves";
+  }
   health.step = step_;
   health.reference_id = reference_id_;
   health.counters = {

@@ -10,6 +10,7 @@
 #include "gateway/arbiter.hpp"
 #include "gateway/grid_evidence.hpp"
 #include "services/gateway_memory.hpp"
+#include "services/precedence.hpp"
 #include "services/runtime/messages.hpp"
 #include "services/runtime/one_writer.hpp"
 
@@ -35,19 +36,19 @@ class GatewayDialogue {
  public:
   using Time = std::chrono::steady_clock::time_point;
 
-  /// who: its lines in the log begin so. memory: what the journal of an earlier start tells; settings hold
+  /// instance: as its health says. who: its lines in the log begin so. memory: what the journal of an earlier start tells; settings hold
   /// the grid of it already.
-  GatewayDialogue(const Settings& settings, const std::string& who, const GatewayMemory& memory,
-                  GatewayOutlet& outlet, Time now);
+  GatewayDialogue(const Settings& settings, std::uint64_t instance, const std::string& who,
+                  const GatewayMemory& memory, GatewayOutlet& outlet, Time now);
   /// It stops, in order.
   void stop();
 
   void decide(const Request& request, Time now);
   /// Follows the unit: its step, its trips, and whether it is still the same one.
   void watch(const Measurement& measurement, bool is_another, Time now);
-  void hear(const Health& health);
-  /// Now and then: people are told of the end of a lease, and of what has changed.
-  void look_after();
+  void hear(const Health& health, Time now);
+  /// Every few ms: people are told of the end of a lease, and of what has changed.
+  void look_after(Time now);
   /// Without what only the outlet can count.
   Health health(Time now) const;
 
@@ -56,6 +57,7 @@ class GatewayDialogue {
   const Arbiter& arbiter() const { return arbiter_; }
 
  private:
+  bool may_act(Time now);
   void operate(const Decision& decision);
   void revalidate(Interval V);
   KnownGrid known_grid() const;
@@ -82,6 +84,7 @@ class GatewayDialogue {
   const Time started_;
   GatewayOutlet& outlet_;
   std::optional<GatewayMemory> memory_;  // until the unit has been seen
+  Precedence precedence_;
   Arbiter arbiter_;
   GridEvidence evidence_;
   std::optional<Envelope> said_;
@@ -89,6 +92,7 @@ class GatewayDialogue {
   bool fallback_holds_ = true;
   bool was_blocked_ = false;
   bool has_left_room_ = false;
+  bool has_yielded_ = false;  // another serves, or has served, beside this one
   bool is_unseen_ = false;   // a sample has come too early to act on it
   bool is_another_ = false;  // since the last sample that was acted on
   bool heard_plant_ = false, heard_controller_ = false;

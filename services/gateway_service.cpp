@@ -26,7 +26,7 @@ class GatewayUnit : GatewayOutlet {
         decisions_(bus, settings.unit.number),
         envelopes_(bus, settings.unit.number),
         operations_(bus, settings.unit.number),
-        dialogue_(settings, name_in_log(settings), memory, *this, Clock::now()) {}
+        dialogue_(settings, announcer_.instance(), name_in_log(settings), memory, *this, Clock::now()) {}
 
   ~GatewayUnit() override {
     const std::lock_guard lock(mutex_);
@@ -37,7 +37,7 @@ class GatewayUnit : GatewayOutlet {
     Health health;
     {
       const std::lock_guard lock(mutex_);
-      dialogue_.look_after();
+      dialogue_.look_after(Clock::now());
       health = dialogue_.health(Clock::now());
     }
     health.counters.push_back({"unsynced", journal_ ? journal_->unsynced() : 0});
@@ -64,7 +64,7 @@ class GatewayUnit : GatewayOutlet {
   }
   void hear(const Health& health) {
     const std::lock_guard lock(mutex_);
-    dialogue_.hear(health);
+    dialogue_.hear(health, Clock::now());
   }
 
  private:

@@ -43,6 +43,8 @@ class Announcer {
 
   /// What it has said last; of the thread that says it.
   const Health& said() const { return last_; }
+  /// As its health and manifest say.
+  std::uint64_t instance() const { return instance_; }
 
  private:
   Writer<Health> health_;

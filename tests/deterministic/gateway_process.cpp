@@ -14,7 +14,7 @@ GatewayProcess::GatewayProcess(World& world, WriterId number, const GatewayMemor
     settings_.gateway.grid_reactance = memory.grid->X_g;
     settings_.gateway.grid_voltage = memory.grid->V;
   }
-  dialogue_ = std::make_unique<GatewayDialogue>(settings_, "", memory_, *this, started_);
+  dialogue_ = std::make_unique<GatewayDialogue>(settings_, id, "", memory_, *this, started_);
 }
 
 // One call: judged, and kept so that it can be made again. It may be its death.
@@ -59,11 +59,13 @@ void GatewayProcess::check_resumed(const Measurement& m) {
 }
 
 void GatewayProcess::take(const Health& health) {
-  make([=](GatewayDialogue& d) { d.hear(health); });
+  const Time now = world_.now();
+  make([=](GatewayDialogue& d) { d.hear(health, now); });
 }
 
 void GatewayProcess::look_after() {
-  make([](GatewayDialogue& d) { d.look_after(); });
+  const Time now = world_.now();
+  make([=](GatewayDialogue& d) { d.look_after(now); });
 }
 
 void GatewayProcess::stop() {
@@ -72,7 +74,7 @@ void GatewayProcess::stop() {
 
 std::optional<std::size_t> GatewayProcess::differs_at() const {
   Echo echo;
-  GatewayDialogue again(settings_, "", memory_, echo, started_);
+  GatewayDialogue again(settings_, id, "", memory_, echo, started_);
   for (std::size_t n = 0; n < tape_.size(); ++n) {
     tape_[n].first(again);
     if (echo.said() != tape_[n].second) return n;

@@ -100,9 +100,8 @@ TEST_P(ProcessFaults, OfTwoGatewaysEitherMayDie) {
   two_gateways(std::nullopt, "two gateways, one journal, one killed");
 }
 
-// Not yet so: nothing keeps two gateways without a journal in common from giving one id to two references, of
-// which plant and controller may follow one each. To see it: --gtest_also_run_disabled_tests.
-TEST_P(ProcessFaults, DISABLED_OfTwoGatewaysWithoutAJournalInCommonEitherMayDie) {
+// The second hears that the first serves, and stands by.
+TEST_P(ProcessFaults, OfTwoGatewaysWithoutAJournalInCommonEitherMayDie) {
   two_gateways("", "two gateways, one killed");
 }
 

@@ -256,7 +256,7 @@ struct Heard : GatewayOutlet {
 struct Restarted {
   Heard said;
   GatewayDialogue::Time now{std::chrono::hours(1)};
-  GatewayDialogue gateway{Settings{}, "", memory(), said, now};
+  GatewayDialogue gateway{Settings{}, 5, "", memory(), said, now};
   Measurement sample = [] {
     Measurement m;
     m.step = 1000;
@@ -266,6 +266,7 @@ struct Restarted {
     return m;
   }();
 
+  Restarted() { now += Precedence::listening; }
   static GatewayMemory memory() {
     GatewayMemory memory;
     memory.reference = order(4, 0.2, 0.0, 500);
@@ -276,7 +277,17 @@ struct Restarted {
     Health health;
     health.service = service;
     health.reference_id = newest;
-    gateway.hear(health);
+    gateway.hear(health, now);
+  }
+  void pass(GatewayDialogue::Time::duration time) {
+    for (const auto end = now + time; now < end; now += std::chrono::milliseconds(100)) gateway.look_after(now);
+  }
+  void hear_another(std::uint64_t instance, ServiceState state = ServiceState::running) {
+    Health health;
+    health.service = "gateway";
+    health.instance = instance;
+    health.state = state;
+    gateway.hear(health, now);
   }
   void watch() {
     ++sample.step;
@@ -291,18 +302,34 @@ struct Restarted {
     request.v_c = 1.84;
     request.who.name.text = {'a'};
     gateway.decide(request, now);
-    return said.decisions.back();
+    return said.decisions.empty() ? Decision{} : said.decisions.back();
+  }
+};
+
+// Knows the unit and what stands, and has decided one request.
+struct Serving : Restarted {
+  Serving() {
+    hear("plant", 4);
+    hear("controller", 4);
+    watch();
+    EXPECT_EQ(ask(1, given_p).verdict, Verdict::accepted);
+  }
+  bool answers(std::uint32_t id) {
+    const std::size_t before = said.decisions.size();
+    (void)ask(id, given_p | given_q | given_v_c);
+    return said.decisions.size() > before;
   }
 };
 
 TEST(Dialogue, AFirstGatewayKnowsThatNothingStands) {
   Heard said;
-  const GatewayDialogue::Time now{std::chrono::hours(1)};
-  GatewayDialogue gateway{Settings{}, "", {}, said, now};
+  GatewayDialogue::Time now{std::chrono::hours(1)};
+  GatewayDialogue gateway{Settings{}, 1, "", {}, said, now};
+  now += Precedence::listening;
   for (const char* service : {"plant", "controller"}) {
     Health health;
     health.service = service;
-    gateway.hear(health);
+    gateway.hear(health, now);
   }
   Request request;
   request.client = 1;
@@ -346,7 +373,7 @@ TEST(Dialogue, WhatStandsIsKnownAfterARestartThoughARequestComesBeforeTheFirstSa
   Restarted r;
   r.hear("plant", 4);
   r.hear("controller", 4);
-  r.now += std::chrono::seconds(4);  // the unit stands still
+  r.pass(std::chrono::seconds(4));  // the unit stands still
   EXPECT_EQ(r.ask(1, given_p).field, Field::given) << "nor is it guessed";
   r.watch();
   ASSERT_EQ(r.said.references.size(), 1u);
@@ -371,6 +398,77 @@ TEST(Dialogue, ARestartedGatewayThatLearnsOfANewerOrderThanItsJournalsDoesNotGue
     r.hear("plant", 7);  // is behind
     EXPECT_EQ(r.ask(4, given_p).verdict, Verdict::accepted);
   }
+}
+
+TEST(OneGateway, WhoComesWhileAnotherServesStandsByUntilThatIsSilent) {
+  Restarted r;
+  r.hear("plant", 7);
+  r.hear("controller", 7);
+  r.hear_another(9);
+  r.watch();
+  (void)r.ask(1, given_p | given_q | given_v_c);
+  EXPECT_TRUE(r.said.decisions.empty());
+  EXPECT_TRUE(r.said.references.empty());
+  EXPECT_EQ(r.gateway.health(r.now).service, "standby gateway");
+  r.pass(std::chrono::seconds(1));
+  r.hear_another(9);
+  r.pass(OneWriter::silence_max - std::chrono::milliseconds(100));
+  (void)r.ask(2, given_p | given_q | given_v_c);
+  EXPECT_TRUE(r.said.decisions.empty());
+  r.pass(std::chrono::milliseconds(200));
+  r.watch();
+  EXPECT_TRUE(r.said.references.empty()) << "what its own journal tells is old";
+  EXPECT_EQ(r.ask(3, given_p).field, Field::given) << "what the other has ordered is not known";
+  const Decision decision = r.ask(4, given_p | given_q | given_v_c);
+  ASSERT_EQ(decision.verdict, Verdict::accepted);
+  EXPECT_GT(decision.reference->id, 7u + Arbiter::room) << "the other's last ids may not have been heard of";
+  EXPECT_EQ(r.gateway.health(r.now).service, "");
+}
+
+TEST(OneGateway, WhoSaysGoodbyeIsFollowedAtOnce) {
+  Restarted r;
+  r.hear("plant", 7);
+  r.hear("controller", 7);
+  r.hear_another(9);
+  r.watch();
+  r.hear_another(9, ServiceState::stopped);
+  r.watch();
+  EXPECT_EQ(r.ask(1, given_p | given_q | given_v_c).verdict, Verdict::accepted);
+}
+
+TEST(OneGateway, OfTwoThatServeTheLowerInstanceGoesOn) {
+  Serving higher, lower;
+  higher.hear_another(4);
+  EXPECT_FALSE(higher.answers(2));
+  lower.hear_another(6);
+  EXPECT_TRUE(lower.answers(2));
+}
+
+TEST(OneGateway, WhoComesBackFromAStopGoesOnWhereNobodyHasReplacedIt) {
+  Serving alone, replaced;
+  for (Serving* g : {&alone, &replaced}) {
+    g->now += std::chrono::seconds(3);
+    EXPECT_FALSE(g->answers(2)) << "it listens first";
+  }
+  replaced.hear_another(9);
+  for (Serving* g : {&alone, &replaced}) {
+    g->pass(Precedence::listening);
+    g->watch();
+  }
+  EXPECT_FALSE(replaced.answers(3));
+  EXPECT_EQ(alone.ask(3, given_p).verdict, Verdict::accepted) << "and knows what stands";
+}
+
+TEST(OneGateway, WhoStoodStillWithTheOtherDoesNotTakeItForSilent) {
+  Restarted r;
+  r.hear("plant", 7);
+  r.hear("controller", 7);
+  r.hear_another(9);
+  r.watch();
+  r.now += std::chrono::seconds(10);
+  r.pass(OneWriter::silence_max - std::chrono::milliseconds(100));
+  (void)r.ask(1, given_p | given_q | given_v_c);
+  EXPECT_TRUE(r.said.decisions.empty());
 }
 
 }  // namespace
