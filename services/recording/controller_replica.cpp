@@ -15,7 +15,7 @@ namespace {
 constexpr std::size_t lag = 512;
 
 constexpr const char* heard_unknown =
-    "which orders of before it had heard when it joined is not in the recording";
+    "which of the orders before it has heard is not in the recording";
 
 bool same_bits(double a, double b) {
   return std::bit_cast<std::uint64_t>(a) == std::bit_cast<std::uint64_t>(b);
@@ -134,17 +134,18 @@ const Measurement* ControllerReplica::sample_of(const Modulation& recorded) {
       if (listens_ ? n == plant_ : inputs_.plants.size() == 1) other = sample;
       continue;
     }
-    if (is_synced_ && (changes_plant_ || (listens_ && n != plant_))) controller_->reset();
+    if (is_synced_ && (changes_plant_ || (listens_ && n != plant_ && !is_twin(inputs_.plants[n]))))
+      controller_->reset();
     changes_plant_ = false;
     plant_ = n;
     listens_ = true;
-    last_sample_step_ = recorded.step;
+    last_sample_ = *sample;
     return sample;
   }
   // Or the answer names the wrong step: the sample that was due has that fingerprint.
   if (other == nullptr && is_synced_ && listens_ && recorded.measurement_fingerprint != 0) {
     const PlantStream& plant = inputs_.plants[plant_];
-    const Measurement* due = plant.find(last_sample_step_ + 1);
+    const Measurement* due = plant.find(last_sample_.step + 1);
     if (due != nullptr && fingerprint(*due) == recorded.measurement_fingerprint) other = due;
     // Or the sample does: it is the one but for its step, and was not answered under the step it names. Of a
     // blocked unit all samples are the same but for their steps.
@@ -171,9 +172,16 @@ const Measurement* ControllerReplica::sample_of(const Modulation& recorded) {
   return nullptr;
 }
 
+// Its samples were so far those that were answered: then this plant has been listened to all along. All plants
+// begin alike, and blocked ones go on alike.
+bool ControllerReplica::is_twin(const PlantStream& plant) const {
+  const Measurement* sample = plant.find(last_sample_.step);
+  return sample != nullptr && fingerprint(*sample) == fingerprint(last_sample_);
+}
+
 // By this controller, among the samples of the plant listened to.
 bool ControllerReplica::is_answered(const Measurement& sample) const {
-  if (sample.step <= last_sample_step_) return sample.step >= inputs_.plants[plant_].first_step;
+  if (sample.step <= last_sample_.step) return sample.step >= inputs_.plants[plant_].first_step;
   const bool is = std::any_of(answers_.begin(), answers_.end(), [&](const Answer& answer) {
     return answer.modulation.step == sample.step &&
            answer.modulation.measurement_fingerprint == fingerprint(sample);
@@ -206,31 +214,37 @@ bool ControllerReplica::accept_references(const Modulation& recorded, const Meas
   }
   // All since the last answer, in the order of issue: a renewal depends on what it renews.
   auto first = known > 0 ? inputs_.references.upper_bound(known) : last;
-  if (known == 0 && sample != nullptr) {
-    first = first_heard(last, *sample, recorded);
-    has_joined_ = last != inputs_.references.begin();
+  if (sample != nullptr) {
+    are_orders_known_ = known > 0 ? first == last : last == inputs_.references.begin();
+    if (!are_orders_known_) first = first_heard(first, last, *sample, recorded);
   }
   for (auto at = first; at != std::next(last); ++at) controller_->accept(at->second);
   return true;
 }
 
-// Who joins late has heard no order of before: of those up to `last` the fewest that explain its answer.
-ControllerReplica::References ControllerReplica::first_heard(References last, const Measurement& sample,
+// Who joins late has heard no order of before: of those up to `last` the fewest that explain its answer. Who was
+// cut off has heard the last ones: the most that do.
+ControllerReplica::References ControllerReplica::first_heard(References first, References last,
+                                                             const Measurement& sample,
                                                              const Modulation& recorded) const {
   constexpr int tries_max = 64;
-  References first = last;
+  const bool joins = first == last;
+  References heard = first;
   for (int n = 0; n < tries_max; ++n) {
     Controller trial = *controller_;
-    for (auto at = first; at != std::next(last); ++at) trial.accept(at->second);
-    if (same_bits(trial.step(sample), recorded)) return first;
-    if (first == inputs_.references.begin()) break;
-    --first;
+    for (auto at = heard; at != std::next(last); ++at) trial.accept(at->second);
+    if (same_bits(trial.step(sample), recorded)) return heard;
+    if (heard == (joins ? inputs_.references.begin() : last)) break;
+    if (joins)
+      --heard;
+    else
+      ++heard;
   }
-  return last;
+  return first;
 }
 
 void ControllerReplica::compare(const Modulation& recorded, const Modulation& computed) {
-  if (has_joined_ && !same_bits(recorded, computed)) {
+  if (!are_orders_known_ && !same_bits(recorded, computed)) {
     lose(heard_unknown);
     return add_unchecked(findings_.unchecked, recorded.step, lost_because_);
   }
@@ -274,14 +288,14 @@ void ControllerReplica::meet_state(const Modulation& answer) {
   if (!is_synced_) {
     controller_->restore(recorded);
     is_synced_ = true;
-    has_joined_ = false;
+    are_orders_known_ = true;
     ++findings_.resumed;
     return;
   }
   if (options_.other_settings) return;
   const WireFields computed = fields_of(findings_.unit, controller_->state());
   const WireFields as_recorded = fields_of(findings_.unit, recorded);
-  if (std::exchange(has_joined_, false) && !is_same(as_recorded, computed)) {
+  if (!std::exchange(are_orders_known_, true) && !is_same(as_recorded, computed)) {
     controller_->restore(recorded);
     ++findings_.resumed;
     return add_unchecked(findings_.unchecked, step, heard_unknown);

@@ -61,11 +61,13 @@ class ControllerReplica {
   void process(const Answer& answer);
   bool fill_gap(const Answer& answer);
   const Measurement* sample_of(const Modulation& recorded);
+  bool is_twin(const PlantStream& plant) const;
   bool is_answered(const Measurement& sample) const;
   bool is_lost(const Measurement& sample) const;
   using References = std::map<std::uint32_t, Reference>::const_iterator;
   bool accept_references(const Modulation& recorded, const Measurement* sample);
-  References first_heard(References last, const Measurement& sample, const Modulation& recorded) const;
+  References first_heard(References first, References last, const Measurement& sample,
+                         const Modulation& recorded) const;
   void compare(const Modulation& recorded, const Modulation& computed);
   void meet_state(const Modulation& answer);
   void lose(const std::string& why);
@@ -78,12 +80,13 @@ class ControllerReplica {
   std::deque<ControllerState> states_;  // by step, not yet met
   std::size_t plant_ = 0;               // index of the plant listened to; the first that may be, if none is
   bool listens_ = false, changes_plant_ = false;
-  bool has_joined_ = false;  // orders stood before it: until its first state nobody knows which it had heard
+  bool are_orders_known_ = true;  // not: it joined late or was cut off; until its next state tells
   bool is_synced_ = false;
   std::size_t samples_since_answer_ = 0;
   bool has_begun_ = false;
   std::string lost_because_;
-  std::uint64_t last_sequence_ = 0, last_step_ = 0, last_sample_step_ = 0;
+  std::uint64_t last_sequence_ = 0, last_step_ = 0;
+  Measurement last_sample_;  // that was answered
   ControllerFindings findings_;
 };
 

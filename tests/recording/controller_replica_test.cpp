@@ -99,5 +99,57 @@ TEST(ControllerReplica, OfABlockedUnitASampleThatTheControllerHasMissedIsNotTheO
   EXPECT_EQ(differences.count(), 0u);
 }
 
+// A plant that was killed and one that was started then begin with the same samples to the bit.
+TEST(ControllerReplica, OfPlantsThatBeginAlikeTheOneAnsweredAllAlongIsTheOneThatGoesOn) {
+  UnitInputs inputs;
+  DifferenceLog differences;
+  ControllerReplica replica(1, "controller", inputs, differences, {});
+  replica.configure({}, "test");
+  const auto run = [&](const std::string& plant, bool is_answered) {
+    Emulator emulator(EmulatorConfiguration{}, {});
+    Controller controller(ControllerConfiguration{});
+    for (std::uint64_t k = 0; k < 200; ++k) {
+      const Measurement sample = emulator.sample();
+      const Modulation answer = controller.step(sample);
+      inputs.see(plant, sample);
+      if (is_answered) replica.see(k + 1, answer);
+      emulator.advance(is_answered || k < 9 ? std::optional(command(answer)) : std::nullopt);
+    }
+  };
+  run("killed", false);
+  run("started", true);
+  replica.process(true);
+  EXPECT_EQ(differences.count(), 0u);
+  EXPECT_EQ(replica.findings().identical, 200u);
+}
+
+// Cut off for a while it hears of the last order only.
+TEST(ControllerReplica, AnOrderThatAnotherHasReplacedBeforeItCameThroughIsNoDifference) {
+  Emulator emulator(EmulatorConfiguration{}, {});
+  Controller controller(ControllerConfiguration{});
+  UnitInputs inputs;
+  DifferenceLog differences;
+  ControllerReplica replica(1, "controller", inputs, differences, {});
+  replica.configure({}, "test");
+  const Reference first{.id = 1, .q = 0.1, .v_c = 1.9, .ramp_steps = 100};
+  const Reference missed{.id = 2, .q = -0.1, .v_c = 1.8, .ramp_steps = 100};
+  const Reference last{.id = 3, .q = 0.0, .v_c = 1.84, .effective_step = 500, .ramp_steps = 100};
+  inputs.references = {{1, first}, {2, missed}, {3, last}};
+  for (std::uint64_t k = 0; k < 2000; ++k) {
+    if (k == 0 || k == 400) {
+      EXPECT_TRUE(controller.accept(k == 0 ? first : last));
+    }
+    const Measurement sample = emulator.sample();
+    const Modulation answer = controller.step(sample);
+    inputs.see("plant", sample);
+    replica.see(k + 1, answer);
+    if (k % 100 == 0) replica.see(controller.state());
+    emulator.advance(command(answer));
+  }
+  replica.process(true);
+  EXPECT_EQ(differences.count(), 0u);
+  EXPECT_EQ(replica.findings().identical, 2000u);
+}
+
 }  // namespace
 }  // namespace weakgrid
