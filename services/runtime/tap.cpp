@@ -170,8 +170,8 @@ struct Tap::Impl : dds::DomainParticipantListener {
     void on_data_available(dds::DataReader* from) override {
       while (from->take_next_sample(&bytes, &info) == ReturnCode_t::RETCODE_OK) {
         const std::lock_guard lock(tap.mutex);
-        auto& told = tap.told[info.sample_identity.writer_guid().guidPrefix];
-        told = std::max(told, readers_before);
+        auto& known = tap.told[info.sample_identity.writer_guid().guidPrefix];
+        known = std::max(known, readers_before);
       }
     }
   };

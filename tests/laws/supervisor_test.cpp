@@ -13,8 +13,6 @@
 namespace weakgrid {
 namespace {
 
-constexpr double v_c = 1.8384776310850235;
-
 Arbiter::Configuration weak_grid(double X_low = 0.3, double X_high = 0.3) {
   Arbiter::Configuration c;
   const double omega = c.converter.omega;

@@ -474,7 +474,8 @@ TEST(Verify, APartThatBeginsInTheMidstVerifiesByItself) {
   for (const std::string& part : parts) {
     const ReexecutionFindings findings = reexecute({part});
     EXPECT_EQ(findings.differences.count(), 0u) << part << words(findings);
-    EXPECT_GT(sums_of(findings).compared, 100u) << part;
+    // The last may have begun a moment before its end.
+    if (part != parts.back()) EXPECT_GT(sums_of(findings).compared, 100u) << part;
     for (const GatewayFindings& g : findings.gateways) decisions += g.decisions_identical;
   }
   EXPECT_GE(decisions, 2u)
@@ -496,11 +497,13 @@ TEST(Verify, OneFlippedBitInAnyInputIsReportedAtItsStep) {
   std::map<std::string, std::vector<std::size_t>> inputs;
   std::map<std::uint32_t, std::uint64_t> step_of_reference;
   std::map<std::uint32_t, std::uint64_t> step_of_request;
+  std::map<std::uint32_t, int> copies;  // a request is repeated until it is decided
   std::size_t count = 0;
   std::vector<Recorded> all;
   rewrite(played(), folder / "copy.mcap", [&](Recorded& m) {
     for (const char* type : {"Measurement", "SetpointRequest", "Reference", "Manifest"})
       if (m.type == std::string("weakgrid::wire::") + type) inputs[type].push_back(count);
+    if (m.topic == "weakgrid/setpoint_request") ++copies[from_payload<Request>(m.payload)->message.id];
     if (const auto d = from_payload<DecisionMessage>(m.payload);
         m.topic == "weakgrid/setpoint_decision" && d) {
       step_of_request[d->message.decision.id] = d->message.decision.decided_step;
@@ -518,6 +521,7 @@ TEST(Verify, OneFlippedBitInAnyInputIsReportedAtItsStep) {
     const std::string type = types[n % std::size(types)];
     const std::size_t chosen = inputs[type][mcap::below(random, inputs[type].size())];
     const Recorded& original = all[chosen];
+    if (type == "SetpointRequest" && copies[from_payload<Request>(original.payload)->message.id] > 1) continue;
     Recorded flipped = original;
     const std::size_t bit = 32 + mcap::below(random, (flipped.payload.size() - 4) * 8);
     flipped.payload[bit / 8] ^= static_cast<std::byte>(1u << bit % 8);
