@@ -15,7 +15,7 @@ namespace weakgrid::deterministic {
 namespace {
 
 // Sanitizers cost an order of magnitude.
-#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+#ifdef WEAKGRID_SANITIZED
 constexpr std::uint64_t seeds_by_default = 25;
 #else
 constexpr std::uint64_t seeds_by_default = 500;

@@ -12,7 +12,7 @@
 #include "tests/recording/payload_of.hpp"
 #include "tests/recording/recording_support.hpp"
 
-#if defined(__SANITIZE_ADDRESS__)
+#ifdef WEAKGRID_SANITIZED
 #include <sanitizer/common_interface_defs.h>
 #endif
 
@@ -73,7 +73,7 @@ Buffer mutated(Buffer bytes, Random& random) {
 /// Tries exercise(damaged) on `count` damaged copies of the inputs, in turn.
 template <class Buffer, class Exercise>
 void try_all(const std::vector<Buffer>& inputs, std::uint32_t count, Exercise exercise) {
-#if defined(__SANITIZE_ADDRESS__)
+#ifdef WEAKGRID_SANITIZED
   __sanitizer_set_death_callback(say_seed);
 #endif
   const char* first = std::getenv("WEAKGRID_LAW_FIRST");

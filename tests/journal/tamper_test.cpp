@@ -33,13 +33,19 @@ void expect_found_at(const std::string& changed, std::uint64_t line) {
   EXPECT_EQ(verdict.bytes, verdict.fault->offset);
 }
 
+#ifdef WEAKGRID_SANITIZED
+constexpr std::size_t stride = 37;  // half a million changes take minutes there
+#else
+constexpr std::size_t stride = 1;
+#endif
+
 TEST(JournalTamper, EveryByteChangedToEveryOtherIsFoundAtItsLine) {
   const std::string good = journal_of(some_bodies());
   ASSERT_TRUE(verdict_of(good).intact());
   std::size_t changes = 0;
   for (std::size_t byte = 0; byte < good.size(); ++byte) {
     SCOPED_TRACE("byte " + std::to_string(byte));
-    for (std::size_t to = byte % WEAKGRID_TAMPER_STRIDE; to < 256; to += WEAKGRID_TAMPER_STRIDE) {
+    for (std::size_t to = byte % stride; to < 256; to += stride) {
       if (static_cast<char>(to) == good[byte]) continue;
       std::string changed = good;
       changed[byte] = static_cast<char>(to);

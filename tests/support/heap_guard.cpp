@@ -6,14 +6,6 @@
 #include <cstddef>
 #include <cstdlib>
 
-#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
-#define WEAKGRID_SANITIZER_HEAP 1
-#elif defined(__has_feature)
-#if __has_feature(address_sanitizer) || __has_feature(thread_sanitizer) || __has_feature(memory_sanitizer)
-#define WEAKGRID_SANITIZER_HEAP 1
-#endif
-#endif
-
 namespace weakgrid::test {
 namespace {
 
@@ -39,7 +31,7 @@ using weakgrid::test::note_allocation;
 
 // NOLINTBEGIN(bugprone-reserved-identifier,cert-dcl37-c,cert-dcl51-cpp): the names are glibc's and the
 // sanitizers'.
-#ifdef WEAKGRID_SANITIZER_HEAP
+#ifdef WEAKGRID_SANITIZED
 
 extern "C" void __sanitizer_malloc_hook(const volatile void*, std::size_t) { note_allocation(); }
 
