@@ -1,10 +1,8 @@
-// Bus over Fast DDS 2.9. Newer majors differ here and nowhere else.
+// Bus over Fast DDS: see the header.
 #include "services/runtime/bus.hpp"
 
 #include <algorithm>
 #include <cstring>
-#include <fastdds/dds/domain/DomainParticipant.hpp>
-#include <fastdds/dds/domain/DomainParticipantFactory.hpp>
 #include <fastdds/dds/publisher/DataWriter.hpp>
 #include <fastdds/dds/publisher/DataWriterListener.hpp>
 #include <fastdds/dds/publisher/Publisher.hpp>
@@ -20,10 +18,6 @@
 #include "services/runtime/wire.hpp"
 
 namespace weakgrid {
-
-namespace dds = eprosima::fastdds::dds;
-using eprosima::fastrtps::Duration_t;
-using eprosima::fastrtps::types::ReturnCode_t;
 
 namespace {
 
@@ -58,7 +52,7 @@ struct Bus::Impl {
     if (dds::TopicDescription* known = participant->lookup_topicdescription(T::name))
       return static_cast<dds::Topic*>(known);
     dds::TypeSupport type(new typename T::Type());
-    if (type.register_type(participant) != ReturnCode_t::RETCODE_OK)
+    if (!is_ok(type.register_type(participant)))
       throw BusError(std::string("DDS: type of ") + T::name + " cannot be registered");
     return made(participant->create_topic(T::name, type.get_type_name(), dds::TOPIC_QOS_DEFAULT), T::name);
   }
@@ -104,7 +98,7 @@ Writer<Message>::Writer(Bus& bus, std::uint32_t unit) : impl_(std::make_unique<I
   qos.publish_mode().kind = dds::SYNCHRONOUS_PUBLISH_MODE;
   // A full history waits for acknowledgements, and these for a heartbeat: 64 samples and 100 ms let some 100
   // commands a second through, 1024 and 10 ms more than 1000.
-  qos.reliable_writer_qos().times.heartbeatPeriod = Duration_t(0, 10'000'000);
+  set_heartbeat_period(qos, Duration_t(0, 10'000'000));
   impl_->writer = made(impl_->publisher->create_datawriter(bus.impl().topic<Message>(), qos, impl_.get(),
                                                            dds::StatusMask::publication_matched()),
                        std::string("writer of ") + Topic<Message>::name);
@@ -118,14 +112,14 @@ Writer<Message>::~Writer() {
 template <class Message>
 bool Writer<Message>::write(const Message& message) noexcept {
   encode(message, impl_->wire);
-  return impl_->writer->write(&impl_->wire);
+  return is_ok(impl_->writer->write(&impl_->wire));
 }
 
 template <class Message>
 bool Writer<Message>::wait_until_taken(std::chrono::milliseconds patience) noexcept {
   const Duration_t span(static_cast<std::int32_t>(patience.count() / 1000),
                         static_cast<std::uint32_t>(patience.count() % 1000 * 1'000'000));
-  return impl_->writer->wait_for_acknowledgments(span) == ReturnCode_t::RETCODE_OK;
+  return is_ok(impl_->writer->wait_for_acknowledgments(span));
 }
 
 template <class Message>
@@ -155,7 +149,7 @@ struct Reader<Message>::Impl : dds::DataReaderListener {
 
   void on_data_available(dds::DataReader* from) override {
     const Working working(pulse);
-    while (from->take_next_sample(&wire, &info) == ReturnCode_t::RETCODE_OK) {
+    while (is_ok(from->take_next_sample(&wire, &info))) {
       pulse.beat();
       const std::uint32_t index = wire.unit() - units.first;
       if (!info.valid_data || index >= units.count) continue;

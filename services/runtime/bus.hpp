@@ -1,4 +1,4 @@
-// Typed topics over one DDS participant: the only door to Fast DDS, and the one place that knows its version.
+// Typed topics over one DDS participant: the only door to Fast DDS.
 #pragma once
 
 #include <array>

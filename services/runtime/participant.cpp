@@ -1,16 +1,12 @@
-// Participants over Fast DDS 2.9: see the header.
+// Participants over Fast DDS: see the header.
 #include "services/runtime/participant.hpp"
 
 #include <arpa/inet.h>
-#include <fastdds/rtps/transport/UDPv4TransportDescriptor.h>
-#include <fastrtps/utils/IPLocator.h>
-#include <fastrtps/xmlparser/XMLProfileManager.h>
 #include <ifaddrs.h>
 #include <netinet/in.h>
 #include <sys/resource.h>
 
 #include <algorithm>
-#include <fastdds/dds/domain/DomainParticipantFactory.hpp>
 #include <fastdds/dds/domain/qos/DomainParticipantQos.hpp>
 #include <fastdds/dds/log/Log.hpp>
 #include <mutex>
@@ -21,10 +17,6 @@
 #include "services/runtime/security.hpp"
 
 namespace weakgrid {
-
-namespace dds = eprosima::fastdds::dds;
-namespace rtps = eprosima::fastrtps::rtps;
-using eprosima::fastrtps::Duration_t;
 
 namespace {
 
@@ -68,11 +60,7 @@ void keep_errors() {
 // would be sent again.
 void discover_by_packets() {
   static std::once_flag once;
-  std::call_once(once, [] {
-    eprosima::fastrtps::LibrarySettingsAttributes settings;
-    settings.intraprocess_delivery = eprosima::fastrtps::INTRAPROCESS_USER_DATA_ONLY;
-    eprosima::fastrtps::xmlparser::XMLProfileManager::library_settings(settings);
-  });
+  std::call_once(once, deliver_user_data_alone_within_process);
 }
 
 // Fast DDS would go on without it, and be alone.
@@ -123,12 +111,10 @@ void find_others(const DdsSettings& settings, Role role, dds::DomainParticipantQ
                                                      ? rtps::DiscoveryProtocol::SUPER_CLIENT
                                                      : rtps::DiscoveryProtocol::CLIENT;
     const std::size_t colon = settings.discovery_server.find(':');
-    rtps::RemoteServerAttributes server;
-    server.ReadguidPrefix("44.53.00.5f.45.50.52.4f.53.49.4d.41");  // of `fastdds discovery -i 0`
-    server.metatrafficUnicastLocatorList.push_back(
+    use_discovery_server(
         locator(settings.discovery_server.substr(0, colon),
-                static_cast<std::uint32_t>(std::stoul(settings.discovery_server.substr(colon + 1)))));
-    builtin.discovery_config.m_DiscoveryServers.push_back(server);
+                static_cast<std::uint32_t>(std::stoul(settings.discovery_server.substr(colon + 1)))),
+        builtin);
   }
   if (!settings.peers.empty()) {
     // Port 0: those of all participants that the host may have. The others of this host are asked too.

@@ -3,10 +3,9 @@
 #pragma once
 
 #include <cstdint>
-#include <fastdds/dds/domain/DomainParticipant.hpp>
-#include <fastdds/dds/domain/DomainParticipantListener.hpp>
 #include <string>
 
+#include "services/runtime/fastdds_version.hpp"
 #include "services/runtime/role.hpp"
 #include "services/runtime/settings.hpp"
 
@@ -14,10 +13,9 @@ namespace weakgrid {
 
 /// UDPv4 alone, on the interfaces given. receive_buffer_bytes: 0 = the system's default; the system may grant
 /// less. The listener hears of discovery only. Throws SettingsError or BusError.
-eprosima::fastdds::dds::DomainParticipant* make_participant(
-    std::uint32_t domain, const DdsSettings& dds, Role role,
-    eprosima::fastdds::dds::DomainParticipantListener* listener = nullptr,
-    std::uint32_t receive_buffer_bytes = 0);
+dds::DomainParticipant* make_participant(std::uint32_t domain, const DdsSettings& settings, Role role,
+                                         dds::DomainParticipantListener* listener = nullptr,
+                                         std::uint32_t receive_buffer_bytes = 0);
 
 /// What Fast DDS has complained of lately in this process, and why something cannot be made, as ": …"; empty
 /// if nothing. It is said once.

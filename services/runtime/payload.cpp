@@ -12,13 +12,13 @@ namespace {
 
 template <class Message>
 KeyOf key_of() {
-  if (!typename Topic<Message>::Type().m_isGetKeyDefined) return {};
+  using Type = typename Topic<Message>::Type;
+  if (!is_keyed(Type())) return {};
   // The generated type keeps a buffer for the key between calls.
-  return [type = std::make_shared<typename Topic<Message>::Type>(),
-          wire = std::make_shared<typename Topic<Message>::Wire>()](
+  return [type = std::make_shared<Type>(), wire = std::make_shared<typename Topic<Message>::Wire>()](
              std::span<const std::byte> payload) -> std::optional<KeyHash> {
-    eprosima::fastrtps::rtps::InstanceHandle_t handle;
-    if (!deserialize(payload, *wire) || !type->getKey(wire.get(), &handle, false)) return std::nullopt;
+    rtps::InstanceHandle_t handle;
+    if (!deserialize<Type>(payload, *wire) || !compute_key(*type, wire.get(), handle)) return std::nullopt;
     KeyHash key;
     for (std::size_t n = 0; n < key.size(); ++n) key[n] = handle.value[n];
     return key;
@@ -31,23 +31,23 @@ template <class Message>
 std::optional<OfUnit<Message>> from_payload(std::span<const std::byte> payload) {
   typename Topic<Message>::Wire wire;
   OfUnit<Message> out;
-  if (!deserialize(payload, wire) || !decode(wire, out.message)) return std::nullopt;
+  if (!deserialize<typename Topic<Message>::Type>(payload, wire) || !decode(wire, out.message))
+    return std::nullopt;
   out.unit = wire.unit();
   return out;
 }
 
 std::optional<bool> is_state_type(std::string_view type) {
 #define WEAKGRID_TRY(Message) \
-  if (type == typename Topic<Message>::Type().getName()) return Topic<Message>::qos == QosClass::state;
+  if (type == name_of(typename Topic<Message>::Type())) return Topic<Message>::qos == QosClass::state;
   WEAKGRID_MESSAGES(WEAKGRID_TRY)
 #undef WEAKGRID_TRY
   return std::nullopt;
 }
 
 std::optional<bool> is_keyed_type(std::string_view type) {
-#define WEAKGRID_TRY(Message)                            \
-  if (type == typename Topic<Message>::Type().getName()) \
-    return typename Topic<Message>::Type().m_isGetKeyDefined;
+#define WEAKGRID_TRY(Message) \
+  if (const typename Topic<Message>::Type known; type == name_of(known)) return is_keyed(known);
   WEAKGRID_MESSAGES(WEAKGRID_TRY)
 #undef WEAKGRID_TRY
   return std::nullopt;
@@ -55,7 +55,7 @@ std::optional<bool> is_keyed_type(std::string_view type) {
 
 KeyOf key_of_type(const std::string& type) {
 #define WEAKGRID_TRY(Message) \
-  if (type == typename Topic<Message>::Type().getName()) return key_of<Message>();
+  if (type == name_of(typename Topic<Message>::Type())) return key_of<Message>();
   WEAKGRID_MESSAGES(WEAKGRID_TRY)
 #undef WEAKGRID_TRY
   return {};

@@ -1,35 +1,36 @@
-// Serialized payload → generated type, by Fast CDR alone. For the runtime's own sources.
+// Serialized payload ↔ generated type, without any bus. For the runtime's own sources, and tests.
 #pragma once
-
-#include <fastcdr/Cdr.h>
-#include <fastcdr/FastBuffer.h>
 
 #include <cstddef>
 #include <exception>
 #include <span>
+#include <vector>
+
+#include "services/runtime/fastdds_version.hpp"
 
 namespace weakgrid {
 
-/// False: the bytes are not of that type.
-template <class Wire>
-[[nodiscard]] bool deserialize(std::span<const std::byte> payload, Wire& wire) {
-  using eprosima::fastcdr::Cdr;
+/// By the generated type support, XPubSubType for X. False: the bytes are not of that type.
+template <class Type>
+[[nodiscard]] bool deserialize(std::span<const std::byte> payload, typename Type::type& wire) {
   // What no writer of that type sends: Fast CDR would make room for as many elements as there are bytes.
   constexpr std::size_t encapsulation_bytes = 4, padding_bytes_max = 3;
-  static const std::size_t bytes_max =
-      encapsulation_bytes + Wire::getMaxCdrSerializedSize() + padding_bytes_max;
+  static const std::size_t bytes_max = encapsulation_bytes + cdr_bytes_max<Type>() + padding_bytes_max;
   if (payload.size() > bytes_max) return false;
   // Fast CDR takes what it only reads as changeable.
   auto* bytes = const_cast<char*>(reinterpret_cast<const char*>(payload.data()));
-  eprosima::fastcdr::FastBuffer buffer(bytes, payload.size());
-  Cdr cdr(buffer, Cdr::DEFAULT_ENDIAN, Cdr::DDS_CDR);
   try {
-    cdr.read_encapsulation();
-    wire.deserialize(cdr);
+    read_cdr<Type>({bytes, payload.size()}, wire);
   } catch (const std::exception&) {  // Fast CDR's, and no memory for an absurd length
     return false;
   }
   return true;
+}
+
+/// As a writer sends it; empty: not possible.
+template <class Type>
+std::vector<std::byte> serialize(typename Type::type& wire) {
+  return write_cdr<Type>(wire);
 }
 
 }  // namespace weakgrid

@@ -1,8 +1,6 @@
 // Ping and Pong: see the header. Participant and QoS as the bus makes them, nothing of ours on the way.
 #include "services/runtime/ping_pong.hpp"
 
-#include <fastdds/dds/domain/DomainParticipant.hpp>
-#include <fastdds/dds/domain/DomainParticipantFactory.hpp>
 #include <fastdds/dds/publisher/DataWriter.hpp>
 #include <fastdds/dds/publisher/Publisher.hpp>
 #include <fastdds/dds/subscriber/DataReader.hpp>
@@ -16,9 +14,6 @@
 #include "services/runtime/wire.hpp"
 
 namespace weakgrid {
-
-namespace dds = eprosima::fastdds::dds;
-using eprosima::fastrtps::types::ReturnCode_t;
 
 namespace {
 
@@ -70,7 +65,7 @@ struct End : dds::DataReaderListener {
     writer->write(&out);
   }
   void on_data_available(dds::DataReader* from) override {
-    while (from->take_next_sample(&in, &info) == ReturnCode_t::RETCODE_OK)
+    while (is_ok(from->take_next_sample(&in, &info)))
       if (info.valid_data) take(in.step());
   }
   virtual void take(std::uint64_t step) = 0;

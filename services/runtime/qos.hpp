@@ -5,6 +5,7 @@
 #include <fastdds/dds/publisher/qos/DataWriterQos.hpp>
 #include <fastdds/dds/subscriber/qos/DataReaderQos.hpp>
 
+#include "services/runtime/fastdds_version.hpp"
 #include "services/runtime/settings.hpp"
 #include "services/runtime/wire.hpp"
 
@@ -16,9 +17,8 @@ inline constexpr int max_instances = 512;
 // What a loop, a command and a state topic ask of DDS; the same for both ends.
 template <class Message, class Qos>
 void apply(bool is_reader, LoopTransport loop, Qos& qos) {
-  namespace dds = eprosima::fastdds::dds;
   const QosClass qos_class = Topic<Message>::qos;
-  const bool keyed = typename Topic<Message>::Type().m_isGetKeyDefined;
+  const bool keyed = is_keyed(typename Topic<Message>::Type());
   // Fast DDS shares memory for types without a key only: those of the loop.
   const bool shares = !keyed && loop == LoopTransport::data_sharing;
   if (shares)
@@ -54,9 +54,9 @@ void apply(bool is_reader, LoopTransport loop, Qos& qos) {
   qos.resource_limits().max_samples_per_instance = per_instance;
   qos.resource_limits().max_samples = instances * per_instance;
   qos.resource_limits().allocated_samples = std::min(per_instance, 64);
-  qos.endpoint().history_memory_policy =
-      qos_class == QosClass::sample ? eprosima::fastrtps::rtps::PREALLOCATED_MEMORY_MODE
-                                    : eprosima::fastrtps::rtps::PREALLOCATED_WITH_REALLOC_MEMORY_MODE;
+  qos.endpoint().history_memory_policy = qos_class == QosClass::sample
+                                             ? rtps::PREALLOCATED_MEMORY_MODE
+                                             : rtps::PREALLOCATED_WITH_REALLOC_MEMORY_MODE;
 }
 
 }  // namespace weakgrid

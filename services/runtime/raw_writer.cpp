@@ -1,16 +1,9 @@
-// RawWriter over Fast DDS 2.9. Newer majors differ here, in bus.cpp and in tap.cpp.
+// RawWriter over Fast DDS: see the header.
 #include "services/runtime/raw_writer.hpp"
 
-#include <fastdds/rtps/writer/WriterDiscoveryInfo.h>
-
 #include <algorithm>
-#include <cstring>
-#include <fastdds/dds/domain/DomainParticipant.hpp>
-#include <fastdds/dds/domain/DomainParticipantFactory.hpp>
-#include <fastdds/dds/domain/DomainParticipantListener.hpp>
 #include <fastdds/dds/publisher/DataWriter.hpp>
 #include <fastdds/dds/publisher/Publisher.hpp>
-#include <fastdds/dds/topic/TopicDataType.hpp>
 #include <fastdds/dds/topic/TypeSupport.hpp>
 #include <map>
 #include <mutex>
@@ -21,11 +14,6 @@
 #include "services/runtime/payload.hpp"
 
 namespace weakgrid {
-
-namespace dds = eprosima::fastdds::dds;
-namespace rtps = eprosima::fastrtps::rtps;
-using eprosima::fastrtps::Duration_t;
-using eprosima::fastrtps::types::ReturnCode_t;
 
 namespace {
 
@@ -38,34 +26,22 @@ struct Sample {
   KeyHash key{};
 };
 
-class RawType : public dds::TopicDataType {
+class RawType : public OpaqueType {
  public:
-  RawType(const std::string& name, bool keyed) {
-    setName(name.c_str());
-    m_typeSize = 256;  // first guess; the pool grows with what is written
-    m_isGetKeyDefined = keyed;
+  using OpaqueType::OpaqueType;
+
+ private:
+  std::span<const std::byte> bytes_of(const void* sample) override {
+    return static_cast<const Sample*>(sample)->bytes;
   }
-  bool serialize(void* data, rtps::SerializedPayload_t* payload) override {
-    const std::span bytes = static_cast<const Sample*>(data)->bytes;
-    if (bytes.size() > payload->max_size) return false;
-    std::memcpy(payload->data, bytes.data(), bytes.size());
-    payload->length = static_cast<std::uint32_t>(bytes.size());
-    // The second byte of the header tells the byte order.
-    payload->encapsulation = bytes.size() > 1 && (bytes[1] & std::byte{1}) == std::byte{0} ? CDR_BE : CDR_LE;
+  bool key_of(const void* sample, rtps::InstanceHandle_t& key) override {
+    if (sample == nullptr || !is_keyed(*this)) return false;
+    const KeyHash& its = static_cast<const Sample*>(sample)->key;
+    for (std::size_t n = 0; n < its.size(); ++n) key.value[n] = its[n];
     return true;
   }
-  bool deserialize(rtps::SerializedPayload_t*, void*) override { return false; }
-  std::function<std::uint32_t()> getSerializedSizeProvider(void* data) override {
-    const auto size = static_cast<std::uint32_t>(static_cast<const Sample*>(data)->bytes.size());
-    return [size] { return size; };
-  }
-  void* createData() override { return new Sample; }
-  void deleteData(void* data) override { delete static_cast<Sample*>(data); }
-  bool getKey(void* data, rtps::InstanceHandle_t* handle, bool) override {
-    const KeyHash& key = static_cast<const Sample*>(data)->key;
-    for (std::size_t n = 0; n < key.size(); ++n) handle->value[n] = key[n];
-    return m_isGetKeyDefined;
-  }
+  void* make() override { return new Sample; }
+  void destroy(void* sample) override { delete static_cast<Sample*>(sample); }
 };
 
 template <class Pointer>
@@ -92,39 +68,38 @@ dds::DataWriterQos qos_of(const RawWriter::Options& options) {
   qos.resource_limits().allocated_samples = std::min(64, qos.history().depth);
   qos.endpoint().history_memory_policy = rtps::PREALLOCATED_WITH_REALLOC_MEMORY_MODE;
   // How soon readers are asked what they have: wait_until_taken() takes that long.
-  qos.reliable_writer_qos().times.heartbeatPeriod = Duration_t(0, 10'000'000);
+  set_heartbeat_period(qos, Duration_t(0, 10'000'000));
   return qos;
 }
 
 }  // namespace
 
-struct RawBus::Impl : dds::DomainParticipantListener {
+struct RawBus::Impl : WriterListener {
   dds::DomainParticipant* participant = nullptr;
   std::map<std::vector<std::string>, dds::Publisher*> publishers;  // by partitions
   mutable std::mutex mutex;
   std::map<rtps::GUID_t, LiveWriter> others;
 
-  void on_publisher_discovery(dds::DomainParticipant*, rtps::WriterDiscoveryInfo&& found) override {
-    const rtps::GUID_t guid = found.info.guid();
-    const std::lock_guard lock(mutex);
-    if (found.status == rtps::WriterDiscoveryInfo::REMOVED_WRITER) {
-      others.erase(guid);
-      return;
-    }
+  void on_writer(const rtps::GUID_t& guid, const FoundWriter& writer) override {
     std::ostringstream text;
     text << guid;
-    others[guid] = {.guid = text.str(), .topic = found.info.topicName().to_string()};
+    const std::lock_guard lock(mutex);
+    others[guid] = {.guid = text.str(), .topic = writer.topic};
+  }
+  void on_writer_gone(const rtps::GUID_t& guid) override {
+    const std::lock_guard lock(mutex);
+    others.erase(guid);
   }
 
   dds::Topic* topic(const std::string& name, const std::string& type_name, bool keyed) {
     dds::TypeSupport type = participant->find_type(type_name);
     if (type.empty()) {
       type.reset(new RawType(type_name, keyed));
-      if (type.register_type(participant) != ReturnCode_t::RETCODE_OK)
+      if (!is_ok(type.register_type(participant)))
         throw BusError("DDS: type " + type_name + " cannot be registered");
     }
     auto* known = static_cast<dds::Topic*>(participant->lookup_topicdescription(name));
-    if (type->m_isGetKeyDefined != keyed || (known != nullptr && known->get_type_name() != type_name))
+    if (is_keyed(*type) != keyed || (known != nullptr && known->get_type_name() != type_name))
       throw BusError("DDS: topic " + name + " cannot be written with two types");
     if (known != nullptr) return known;
     return made(participant->create_topic(name, type_name, dds::TOPIC_QOS_DEFAULT), "topic " + name);
@@ -199,13 +174,13 @@ bool RawWriter::write(std::span<const std::byte> payload) {
   Sample sample{.bytes = payload, .key = impl_->own_key};
   if (impl_->key_of)
     if (const auto key = impl_->key_of(payload)) sample.key = *key;
-  return impl_->writer->write(&sample);
+  return is_ok(impl_->writer->write(&sample));
 }
 
 bool RawWriter::wait_until_taken(std::chrono::milliseconds patience) {
   const Duration_t span(static_cast<std::int32_t>(patience.count() / 1000),
                         static_cast<std::uint32_t>(patience.count() % 1000 * 1'000'000));
-  return impl_->writer->wait_for_acknowledgments(span) == ReturnCode_t::RETCODE_OK;
+  return is_ok(impl_->writer->wait_for_acknowledgments(span));
 }
 
 }  // namespace weakgrid

@@ -1,20 +1,15 @@
-// Tap over Fast DDS 2.9. Newer majors differ here and in bus.cpp.
+// Tap over Fast DDS: see the header.
 #include "services/runtime/tap.hpp"
 
 #include <spdlog/spdlog.h>
 
-#include <fastdds/rtps/writer/WriterDiscoveryInfo.h>
 #include <algorithm>
 #include <condition_variable>
 #include <deque>
-#include <fastdds/dds/domain/DomainParticipant.hpp>
-#include <fastdds/dds/domain/DomainParticipantFactory.hpp>
-#include <fastdds/dds/domain/DomainParticipantListener.hpp>
 #include <fastdds/dds/subscriber/DataReader.hpp>
 #include <fastdds/dds/subscriber/DataReaderListener.hpp>
 #include <fastdds/dds/subscriber/SampleInfo.hpp>
 #include <fastdds/dds/subscriber/Subscriber.hpp>
-#include <fastdds/dds/topic/TopicDataType.hpp>
 #include <fastdds/dds/topic/TypeSupport.hpp>
 #include <map>
 #include <mutex>
@@ -28,43 +23,34 @@
 
 namespace weakgrid {
 
-namespace dds = eprosima::fastdds::dds;
-namespace rtps = eprosima::fastrtps::rtps;
-using eprosima::fastrtps::Duration_t;
-using eprosima::fastrtps::types::ReturnCode_t;
-
 namespace {
 
 constexpr std::uint32_t unknown_writer = ~std::uint32_t{0};
 // A burst that may come before a reader's thread runs again; more pushes out the oldest, which shows as a
 // gap.
 constexpr int history_depth = 4096;
+// Of one topic. Some writers name the instance of each sample, as those of Fast DDS 3 do; of the others all
+// are one.
+constexpr int instances_max = 4096;
 
 /// Any type: the bytes as they came, never parsed.
-class RawType : public dds::TopicDataType {
+class RawType : public OpaqueType {
  public:
-  RawType(const std::string& name, bool keyed) {
-    setName(name.c_str());
-    m_typeSize = 256;  // first guess; the pools grow with what comes
-    m_isGetKeyDefined = keyed;
-  }
-  bool serialize(void*, rtps::SerializedPayload_t*) override { return false; }
-  bool deserialize(rtps::SerializedPayload_t* payload, void* data) override {
-    const auto* bytes = reinterpret_cast<const std::byte*>(payload->data);
-    auto& out = *static_cast<std::vector<std::byte>*>(data);
-    out.assign(bytes, bytes + payload->length);
+  using OpaqueType::OpaqueType;
+
+ private:
+  bool take(std::span<const std::byte> payload, void* sample) override {
+    auto& out = *static_cast<std::vector<std::byte>*>(sample);
+    out.assign(payload.begin(), payload.end());
     // RTPS carries payloads in fours; what this process hears of itself has not been on the wire.
     out.resize((out.size() + 3) / 4 * 4);
     return true;
   }
-  std::function<std::uint32_t()> getSerializedSizeProvider(void*) override {
-    return [] { return 0u; };
-  }
-  void* createData() override { return new std::vector<std::byte>; }
-  void deleteData(void* data) override { delete static_cast<std::vector<std::byte>*>(data); }
-  /// All samples as one instance. Nil or false would abort the process: Debian builds with asserts.
-  bool getKey(void*, rtps::InstanceHandle_t* handle, bool) override {
-    handle->value[0] = 1;
+  void* make() override { return new std::vector<std::byte>; }
+  void destroy(void* sample) override { delete static_cast<std::vector<std::byte>*>(sample); }
+  /// Where their writers do not name any, all samples as one instance.
+  bool key_of(const void*, rtps::InstanceHandle_t& key) override {
+    key.value[0] = 1;
     return true;
   }
 };
@@ -76,25 +62,25 @@ std::string text_of(const rtps::GUID_t& guid) {
 }
 
 double seconds(const Duration_t& duration) {
-  return duration == eprosima::fastrtps::c_TimeInfinite ? -1.0 : static_cast<double>(duration.to_ns()) * 1e-9;
+  return duration == c_TimeInfinite ? -1.0 : static_cast<double>(duration.to_ns()) * 1e-9;
 }
 
-std::string qos_text(const eprosima::fastdds::dds::WriterQos& qos) {
+std::string qos_text(const FoundWriter& writer) {
   static constexpr const char* durabilities[] = {"volatile", "transient local", "transient", "persistent"};
   static constexpr const char* livelinesses[] = {"automatic", "manual by participant", "manual by topic"};
   nlohmann::json representations = nlohmann::json::array();
-  for (const auto representation : qos.representation.m_value)
+  for (const auto representation : writer.representation.m_value)
     representations.push_back(static_cast<int>(representation));
   // Spans in seconds, -1 = infinite.
   return nlohmann::json{
-      {"reliability", qos.m_reliability.kind == dds::RELIABLE_RELIABILITY_QOS ? "reliable" : "best effort"},
-      {"durability", durabilities[std::min<std::size_t>(qos.m_durability.kind, 3)]},
-      {"ownership", qos.m_ownership.kind == dds::EXCLUSIVE_OWNERSHIP_QOS ? "exclusive" : "shared"},
-      {"ownership_strength", qos.m_ownershipStrength.value},
-      {"liveliness", livelinesses[std::min<std::size_t>(qos.m_liveliness.kind, 2)]},
-      {"liveliness_lease_s", seconds(qos.m_liveliness.lease_duration)},
-      {"deadline_s", seconds(qos.m_deadline.period)},
-      {"lifespan_s", seconds(qos.m_lifespan.duration)},
+      {"reliability", writer.reliability.kind == dds::RELIABLE_RELIABILITY_QOS ? "reliable" : "best effort"},
+      {"durability", durabilities[std::min<std::size_t>(writer.durability.kind, 3)]},
+      {"ownership", writer.ownership.kind == dds::EXCLUSIVE_OWNERSHIP_QOS ? "exclusive" : "shared"},
+      {"ownership_strength", writer.ownership_strength.value},
+      {"liveliness", livelinesses[std::min<std::size_t>(writer.liveliness.kind, 2)]},
+      {"liveliness_lease_s", seconds(writer.liveliness.lease_duration)},
+      {"deadline_s", seconds(writer.deadline.period)},
+      {"lifespan_s", seconds(writer.lifespan.duration)},
       {"representations", representations}}
       .dump();
 }
@@ -103,7 +89,7 @@ bool is_internal(const std::string& topic) { return topic.rfind("_fastdds_statis
 
 }  // namespace
 
-struct Tap::Impl : dds::DomainParticipantListener {
+struct Tap::Impl : WriterListener {
   /// What a reader must ask for to match a writer: one reader for each.
   struct Class {
     std::string topic;
@@ -133,7 +119,7 @@ struct Tap::Impl : dds::DomainParticipantListener {
     Ear(Impl& owner, Class its) : tap(owner), of(std::move(its)) {}
 
     void on_data_available(dds::DataReader* from) override {
-      while (from->take_next_sample(&bytes, &info) == ReturnCode_t::RETCODE_OK) {
+      while (is_ok(from->take_next_sample(&bytes, &info))) {
         const rtps::GUID_t& guid = info.sample_identity.writer_guid();
         if (guid != last_guid) {
           last_guid = guid;
@@ -168,7 +154,7 @@ struct Tap::Impl : dds::DomainParticipantListener {
 
     Echo(Impl& owner, std::uint64_t readers) : tap(owner), readers_before(readers) {}
     void on_data_available(dds::DataReader* from) override {
-      while (from->take_next_sample(&bytes, &info) == ReturnCode_t::RETCODE_OK) {
+      while (is_ok(from->take_next_sample(&bytes, &info))) {
         const std::lock_guard lock(tap.mutex);
         auto& known = tap.told[info.sample_identity.writer_guid().guidPrefix];
         known = std::max(known, readers_before);
@@ -209,48 +195,47 @@ struct Tap::Impl : dds::DomainParticipantListener {
     return !is_internal(topic) && options.filter.wants(topic);
   }
 
-  // On a thread of the bus: no entity may be made here.
-  void on_publisher_discovery(dds::DomainParticipant*, rtps::WriterDiscoveryInfo&& found) override {
-    const rtps::WriterProxyData& writer = found.info;
+  void on_writer_gone(const rtps::GUID_t& guid) override {
     const std::lock_guard lock(mutex);
-    if (found.status == rtps::WriterDiscoveryInfo::REMOVED_WRITER) {
-      const auto gone = echoing.find(writer.guid().guidPrefix);
-      if (gone != echoing.end() && gone->second == writer.guid()) echoing.erase(gone);
-      const auto known = writers.find(writer.guid());
-      if (known != writers.end()) known->second.is_gone = true;
-      return;
-    }
-    const std::string topic = writer.topicName().to_string();
-    if (topic == Topic<Manifest>::name) echoing[writer.guid().guidPrefix] = writer.guid();
-    if (const auto known = writers.find(writer.guid()); known != writers.end()) {
+    const auto gone = echoing.find(guid.guidPrefix);
+    if (gone != echoing.end() && gone->second == guid) echoing.erase(gone);
+    const auto known = writers.find(guid);
+    if (known != writers.end()) known->second.is_gone = true;
+  }
+
+  // On a thread of the bus: no entity may be made here.
+  void on_writer(const rtps::GUID_t& guid, const FoundWriter& writer) override {
+    const std::lock_guard lock(mutex);
+    if (writer.topic == Topic<Manifest>::name) echoing[guid.guidPrefix] = guid;
+    if (const auto known = writers.find(guid); known != writers.end()) {
       known->second.is_gone = false;
       return;
     }
-    if (!is_wanted(topic)) return;
+    if (!is_wanted(writer.topic)) return;
     if (count >= options.writers_max) {
       ++left_out;
       return;
     }
-    Known known{.of = {topic, writer.m_qos.m_reliability.kind == dds::RELIABLE_RELIABILITY_QOS,
-                       writer.m_qos.m_durability.kind != dds::VOLATILE_DURABILITY_QOS,
-                       writer.m_qos.m_ownership.kind == dds::EXCLUSIVE_OWNERSHIP_QOS},
-                .type = writer.typeName().to_string(),
-                .keyed = writer.topicKind() == rtps::WITH_KEY,
+    Known known{.of = {writer.topic, writer.reliability.kind == dds::RELIABLE_RELIABILITY_QOS,
+                       writer.durability.kind != dds::VOLATILE_DURABILITY_QOS,
+                       writer.ownership.kind == dds::EXCLUSIVE_OWNERSHIP_QOS},
+                .type = writer.type,
+                .keyed = writer.keyed,
                 .index = count++,
                 .readers_by_us = 0};
     SourceWriter seen{.index = known.index,
-                      .guid = text_of(writer.guid()),
-                      .topic = topic,
+                      .guid = text_of(guid),
+                      .topic = writer.topic,
                       .type = known.type,
                       .keyed = known.keyed,
                       .reliable = known.of.reliable,
                       .transient_local = known.of.transient_local,
                       .exclusive = known.of.exclusive,
-                      .partitions = writer.m_qos.m_partition.names(),
-                      .qos_full = qos_text(writer.m_qos)};
-    writers.emplace(writer.guid(), std::move(known));
+                      .partitions = writer.partitions,
+                      .qos_full = qos_text(writer)};
+    writers.emplace(guid, std::move(known));
     see(seen);
-    to_read.push_back(writer.guid());
+    to_read.push_back(guid);
     work.notify_one();
   }
 
@@ -301,8 +286,8 @@ struct Tap::Impl : dds::DomainParticipantListener {
       const bool is_sample = T::qos == QosClass::sample;
       if (is_wanted(T::name))
         listen({.of = {T::name, !is_sample, !is_sample, false},
-                .type = typename T::Type().getName(),
-                .keyed = typename T::Type().m_isGetKeyDefined,
+                .type = name_of(typename T::Type()),
+                .keyed = is_keyed(typename T::Type()),
                 .index = unknown_writer,
                 .readers_by_us = 0});
     };
@@ -314,8 +299,7 @@ struct Tap::Impl : dds::DomainParticipantListener {
   dds::Topic* topic_of(const std::string& name, const std::string& type_name, bool keyed) {
     if (dds::TopicDescription* known = participant->lookup_topicdescription(name)) {
       auto* topic = static_cast<dds::Topic*>(known);
-      if (topic->get_type_name() == type_name &&
-          participant->find_type(type_name)->m_isGetKeyDefined == keyed)
+      if (topic->get_type_name() == type_name && is_keyed(*participant->find_type(type_name)) == keyed)
         return topic;
       spdlog::warn("{}: a writer with type {} ({}) is not recorded: the topic is known as {}", name,
                    type_name, keyed ? "keyed" : "without key", topic->get_type_name());
@@ -324,9 +308,9 @@ struct Tap::Impl : dds::DomainParticipantListener {
     dds::TypeSupport type = participant->find_type(type_name);
     if (type.empty()) {
       type.reset(new RawType(type_name, keyed));
-      if (type.register_type(participant) != ReturnCode_t::RETCODE_OK) return nullptr;
+      if (!is_ok(type.register_type(participant))) return nullptr;
     }
-    if (type->m_isGetKeyDefined != keyed) {
+    if (is_keyed(*type) != keyed) {
       spdlog::warn("{}: a writer is not recorded: type {} is known with another key", name, type_name);
       return nullptr;
     }
@@ -342,13 +326,12 @@ struct Tap::Impl : dds::DomainParticipantListener {
     qos.ownership().kind = of.exclusive ? dds::EXCLUSIVE_OWNERSHIP_QOS : dds::SHARED_OWNERSHIP_QOS;
     qos.history().kind = dds::KEEP_LAST_HISTORY_QOS;
     qos.history().depth = history_depth;
-    qos.resource_limits().max_instances = 2;
+    qos.resource_limits().max_instances = instances_max;
     qos.resource_limits().max_samples_per_instance = history_depth;
-    qos.resource_limits().max_samples = 2 * history_depth;
+    qos.resource_limits().max_samples = instances_max * history_depth;
     qos.resource_limits().allocated_samples = 64;
     qos.endpoint().history_memory_policy = rtps::PREALLOCATED_WITH_REALLOC_MEMORY_MODE;
-    qos.type_consistency().representation.m_value = {dds::XCDR_DATA_REPRESENTATION,
-                                                     dds::XCDR2_DATA_REPRESENTATION};
+    accept_representations(qos, {dds::XCDR_DATA_REPRESENTATION, dds::XCDR2_DATA_REPRESENTATION});
     return qos;
   }
 
@@ -362,7 +345,7 @@ struct Tap::Impl : dds::DomainParticipantListener {
     lock.unlock();
     drop_echo();
     using T = Topic<Manifest>;
-    if (dds::Topic* topic = topic_of(T::name, typename T::Type().getName(), true)) {
+    if (dds::Topic* topic = topic_of(T::name, name_of(typename T::Type()), true)) {
       echo = std::make_unique<Echo>(*this, readers);
       echo->reader = subscriber->create_datareader(topic, reader_qos({T::name, true, true, false}),
                                                    echo.get(), dds::StatusMask::data_available());
@@ -394,7 +377,7 @@ struct Tap::Impl : dds::DomainParticipantListener {
       throw;
     }
     factory->set_qos(before);
-    if (participant->enable() != ReturnCode_t::RETCODE_OK)
+    if (!is_ok(participant->enable()))
       throw BusError("DDS: participant in domain " + std::to_string(options.domain) + " cannot be enabled" +
                      reason());
     dds::SubscriberQos subscriber_qos;

@@ -322,11 +322,11 @@ WireFields list(const wire::ControllerState& m) {
 #undef RAMP
 #undef FIELD
 
-// use(wire), empty, of the type that has this name.
+// use<Type>() with the type support that has this name.
 template <class Use>
 void with_type(std::string_view type, Use use) {
 #define TRY(Message) \
-  if (type == "weakgrid::wire::" #Message) return use(wire::Message{});
+  if (type == "weakgrid::wire::" #Message) return use.template operator()<wire::Message##PubSubType>();
   TRY(Measurement)
   TRY(Modulation)
   TRY(SetpointRequest)
@@ -352,16 +352,17 @@ WireFields fields_of(std::uint32_t unit, const Message& message) {
 
 std::optional<WireFields> fields_of_payload(std::string_view type, std::span<const std::byte> payload) {
   std::optional<WireFields> fields;
-  with_type(type, [&](auto wire) {
-    if (deserialize(payload, wire)) fields = list(wire);
+  with_type(type, [&]<class Type>() {
+    typename Type::type wire;
+    if (deserialize<Type>(payload, wire)) fields = list(wire);
   });
   return fields;
 }
 
 std::vector<std::string> field_names(std::string_view type) {
   std::vector<std::string> names;
-  with_type(type, [&](const auto& wire) {
-    for (const WireField& field : list(wire)) names.emplace_back(field.name);
+  with_type(type, [&]<class Type>() {
+    for (const WireField& field : list(typename Type::type{})) names.emplace_back(field.name);
   });
   return names;
 }

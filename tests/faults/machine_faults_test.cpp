@@ -165,7 +165,7 @@ TEST(MachineFaults, SharedMemoryThatTheDeadHaveLeftIsInNobodysWay) {
     EXPECT_FALSE(left.empty()) << "the dead have left nothing";
     for (const auto& file : left)
       if (campaign.random()() % 2 == 0) leave_garbage(file, campaign.random());
-    for (const char* name : {"fast_datasharing_", "fastrtps_", "fastrtps_port", "sem.fastrtps_port"})
+    for (const char* name : {"fast_datasharing_", "fastrtps_", "fastrtps_port", "sem.fastrtps_port", "fastdds_"})
       for (int k = 0; k < 5; ++k)
         leave_garbage(shared / (name + std::to_string(campaign.random()() % 40'000)), campaign.random());
     for (const char* service : {"plant", "controller"}) campaign.start(service);

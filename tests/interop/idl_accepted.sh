@@ -50,8 +50,10 @@ case "${1:-} $#" in
   "fastddsgen 1")
     need fastddsgen
     (cd "$scratch" && fastddsgen -replace -cs -t "$scratch" -d "$scratch" "$idl") || fail 1 "fastddsgen refuses $idl"
-    find_structs "$scratch/weakgrid.h" '^ *class %$'
-    find_structs "$scratch/weakgridPubSubTypes.h" '^ *class %PubSubType '
+    ending=h
+    [ ! -s "$scratch/weakgrid.hpp" ] || ending=hpp   # since its version 3
+    find_structs "$scratch/weakgrid.$ending" '^ *class %$'
+    find_structs "$scratch/weakgridPubSubTypes.$ending" '^ *class %PubSubType '
     ;;
   "idlc 1")
     need idlc

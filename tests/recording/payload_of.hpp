@@ -2,6 +2,7 @@
 #pragma once
 
 #include "services/recording/mcap_format.hpp"
+#include "services/runtime/payload_cdr.hpp"
 #include "services/runtime/wire.hpp"
 
 namespace weakgrid {
@@ -11,11 +12,7 @@ mcap::Bytes payload_of(std::uint32_t unit, const Message& message) {
   typename Topic<Message>::Wire wire;
   wire.unit(unit);
   encode(message, wire);
-  typename Topic<Message>::Type type;
-  eprosima::fastrtps::rtps::SerializedPayload_t payload(type.getSerializedSizeProvider(&wire)());
-  if (!type.serialize(&wire, &payload)) return {};
-  const auto* begin = reinterpret_cast<const std::byte*>(payload.data);
-  return {begin, begin + payload.length};
+  return serialize<typename Topic<Message>::Type>(wire);
 }
 
 }  // namespace weakgrid

@@ -11,6 +11,7 @@
 #include <thread>
 
 #include "services/recording/recorder.hpp"
+#include "services/runtime/payload_cdr.hpp"
 #include "services/runtime/raw_writer.hpp"
 #include "services/runtime/tap.hpp"
 #include "services/runtime/wire.hpp"
@@ -81,11 +82,9 @@ Bytes payload_of(const Message& message, std::uint32_t unit) {
   typename Topic<Message>::Wire wire;
   encode(message, wire);
   wire.unit(unit);
-  typename Topic<Message>::Type type;
-  eprosima::fastrtps::rtps::SerializedPayload_t bytes(type.getSerializedSizeProvider(&wire)());
-  EXPECT_TRUE(type.serialize(&wire, &bytes));
-  const auto* begin = reinterpret_cast<const std::byte*>(bytes.data);
-  return {begin, begin + bytes.length};
+  const Bytes bytes = serialize<typename Topic<Message>::Type>(wire);
+  EXPECT_FALSE(bytes.empty());
+  return bytes;
 }
 
 /// Hears a whole domain and writes nothing, so that nobody minds.

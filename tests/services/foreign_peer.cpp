@@ -3,8 +3,6 @@
 #include <fmt/format.h>
 
 #include <cstdlib>
-#include <fastdds/dds/domain/DomainParticipant.hpp>
-#include <fastdds/dds/domain/DomainParticipantFactory.hpp>
 #include <fastdds/dds/publisher/DataWriter.hpp>
 #include <fastdds/dds/publisher/Publisher.hpp>
 #include <fastdds/dds/subscriber/DataReader.hpp>
@@ -13,12 +11,13 @@
 #include <stdexcept>
 #include <thread>
 
+#include "services/runtime/fastdds_version.hpp"
 #include "services/runtime/wire.hpp"
 
 namespace {
 
-namespace dds = eprosima::fastdds::dds;
-using eprosima::fastrtps::types::ReturnCode_t;
+namespace dds = weakgrid::dds;
+using weakgrid::is_ok;
 using weakgrid::Topic;
 
 template <class Pointer>
@@ -38,7 +37,7 @@ dds::Topic* topic(dds::DomainParticipant* participant) {
 int talk(std::uint32_t domain, int files, char** file) {
   auto* factory = dds::DomainParticipantFactory::get_instance();
   for (int n = 0; n < files; ++n)
-    if (factory->load_XML_profiles_file(file[n]) != ReturnCode_t::RETCODE_OK)
+    if (!is_ok(factory->load_XML_profiles_file(file[n])))
       throw std::runtime_error(fmt::format("{} cannot be loaded", file[n]));
   auto* participant = made(factory->create_participant_with_profile(domain, "weakgrid"), "the participant");
   auto* publisher = made(participant->create_publisher(dds::PUBLISHER_QOS_DEFAULT), "a publisher");
@@ -71,9 +70,9 @@ int talk(std::uint32_t domain, int files, char** file) {
   const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(30);
   for (int turn = 0;
        std::chrono::steady_clock::now() < deadline && !(seen >= 100 && services > 0 && answered); ++turn) {
-    while (samples->take_next_sample(&sample, &info) == ReturnCode_t::RETCODE_OK) seen += info.valid_data;
-    while (healths->take_next_sample(&health, &info) == ReturnCode_t::RETCODE_OK) services += info.valid_data;
-    while (decisions->take_next_sample(&answer, &info) == ReturnCode_t::RETCODE_OK)
+    while (is_ok(samples->take_next_sample(&sample, &info))) seen += info.valid_data;
+    while (is_ok(healths->take_next_sample(&health, &info))) services += info.valid_data;
+    while (is_ok(decisions->take_next_sample(&answer, &info)))
       answered |= info.valid_data && decode(answer, decision) && decision.decision.client == ask.client;
     if (turn % 100 == 50 && !answered) requests->write(&request);  // a repeat costs nothing
     std::this_thread::sleep_for(std::chrono::milliseconds(2));

@@ -8,6 +8,7 @@
 #include <limits>
 #include <random>
 
+#include "services/runtime/payload_cdr.hpp"
 #include "services/runtime/wire_fields.hpp"
 
 namespace weakgrid {
@@ -62,10 +63,9 @@ template <class Message>
 Message sent_and_received(const Message& message) {
   typename Topic<Message>::Wire out, in;
   encode(message, out);
-  typename Topic<Message>::Type type;
-  eprosima::fastrtps::rtps::SerializedPayload_t bytes(type.getSerializedSizeProvider(&out)());
-  EXPECT_TRUE(type.serialize(&out, &bytes));
-  EXPECT_TRUE(type.deserialize(&bytes, &in));
+  using Type = typename Topic<Message>::Type;
+  const std::vector<std::byte> bytes = serialize<Type>(out);
+  EXPECT_TRUE(deserialize<Type>(bytes, in));
   Message received;
   EXPECT_TRUE(decode(in, received));
   return received;
@@ -550,8 +550,9 @@ TEST(Wire, MeasurementWhoseTimeIsNotStepTimesPeriodIsRefused) {
 }
 
 // Every value from the first that no enumerator has.
-template <class Wire, class Message, class Put>
-void expect_enumerators_refused(const Message& message, std::uint32_t last, Put put) {
+template <class Wire, class Message, class Enumerator, class Put>
+void expect_enumerators_refused(const Message& message, Enumerator last_one, Put put) {
+  const auto last = static_cast<std::uint32_t>(last_one);
   for (const std::uint32_t value : {last + 1, last + 2, 255u, 256u, 0x8000'0000u, 0xffff'ffffu}) {
     Wire wire;
     encode(message, wire);
@@ -563,64 +564,65 @@ void expect_enumerators_refused(const Message& message, std::uint32_t last, Put 
 
 TEST(Wire, EnumeratorOutOfRangeIsRefused) {
   expect_enumerators_refused<wire::Envelope>(
-      Envelope{}, wire::SOURCE_PROTECTION,
+      Envelope{}, wire::Source::SOURCE_PROTECTION,
       [](auto& wire, std::uint32_t value) { wire.holder_source(static_cast<wire::Source>(value)); });
   DecisionMessage decision;
   expect_enumerators_refused<wire::SetpointDecision>(
       decision, static_cast<std::uint32_t>(UnitState::ready),
       [](auto& wire, std::uint32_t value) { wire.unit_state(value); });
   expect_enumerators_refused<wire::SetpointDecision>(
-      decision, wire::REVALIDATE,
+      decision, wire::RequestKind::REVALIDATE,
       [](auto& wire, std::uint32_t value) { wire.kind(static_cast<wire::RequestKind>(value)); });
   decision.decision.margins.add({Limit::current, true, 0.1});
   expect_enumerators_refused<wire::SetpointDecision>(
-      decision, wire::INTERLOCKED,
+      decision, wire::Verdict::INTERLOCKED,
       [](auto& wire, std::uint32_t value) { wire.verdict(static_cast<wire::Verdict>(value)); });
   expect_enumerators_refused<wire::SetpointDecision>(
-      decision, wire::TRANSIENT,
+      decision, wire::LimitName::TRANSIENT,
       [](auto& wire, std::uint32_t value) { wire.margins()[0].limit(static_cast<wire::LimitName>(value)); });
   expect_enumerators_refused<wire::SetpointDecision>(
-      decision, wire::FIELD_KIND,
+      decision, wire::RequestField::FIELD_KIND,
       [](auto& wire, std::uint32_t value) { wire.field(static_cast<wire::RequestField>(value)); });
-  expect_enumerators_refused<wire::Operation>(Operation{}, wire::STOP, [](auto& wire, std::uint32_t value) {
-    wire.kind(static_cast<wire::OperationKind>(value));
-  });
-  expect_enumerators_refused<wire::Health>(Health{}, wire::STOPPED, [](auto& wire, std::uint32_t value) {
-    wire.state(static_cast<wire::ServiceState>(value));
-  });
+  expect_enumerators_refused<wire::Operation>(
+      Operation{}, wire::OperationKind::STOP,
+      [](auto& wire, std::uint32_t value) { wire.kind(static_cast<wire::OperationKind>(value)); });
+  expect_enumerators_refused<wire::Health>(
+      Health{}, wire::ServiceState::STOPPED,
+      [](auto& wire, std::uint32_t value) { wire.state(static_cast<wire::ServiceState>(value)); });
 }
 
 TEST(Wire, EveryEnumeratorHasItsNameInTheContract) {
-  EXPECT_EQ(static_cast<std::uint32_t>(Verdict::outside_envelope), wire::OUTSIDE_ENVELOPE);
-  EXPECT_EQ(static_cast<std::uint32_t>(Verdict::bad_request), wire::BAD_REQUEST);
-  EXPECT_EQ(static_cast<std::uint32_t>(Verdict::stale_request), wire::STALE_REQUEST);
-  EXPECT_EQ(static_cast<std::uint32_t>(Verdict::unit_blocked), wire::UNIT_BLOCKED);
-  EXPECT_EQ(static_cast<std::uint32_t>(Field::none), wire::NO_FIELD);
-  EXPECT_EQ(static_cast<std::uint32_t>(Field::client), wire::FIELD_CLIENT);
-  EXPECT_EQ(static_cast<std::uint32_t>(Field::id), wire::FIELD_ID);
-  EXPECT_EQ(static_cast<std::uint32_t>(Field::given), wire::FIELD_GIVEN);
-  EXPECT_EQ(static_cast<std::uint32_t>(Field::p), wire::FIELD_ACTIVE_POWER);
-  EXPECT_EQ(static_cast<std::uint32_t>(Field::q), wire::FIELD_REACTIVE_POWER);
-  EXPECT_EQ(static_cast<std::uint32_t>(Field::v_c), wire::FIELD_DC_VOLTAGE);
-  EXPECT_EQ(static_cast<std::uint32_t>(Field::ramp_s), wire::FIELD_RAMP_S);
-  EXPECT_EQ(static_cast<std::uint32_t>(Field::effective_step), wire::FIELD_EFFECTIVE_STEP);
-  EXPECT_EQ(static_cast<std::uint32_t>(Limit::steady_state), wire::STEADY_STATE);
-  EXPECT_EQ(static_cast<std::uint32_t>(Limit::current), wire::CURRENT);
-  EXPECT_EQ(static_cast<std::uint32_t>(Limit::control), wire::CONTROL);
-  EXPECT_EQ(static_cast<std::uint32_t>(Limit::control_rough), wire::CONTROL_ROUGH);
-  EXPECT_EQ(static_cast<std::uint32_t>(Limit::pcc_voltage_min), wire::PCC_VOLTAGE_MIN);
-  EXPECT_EQ(static_cast<std::uint32_t>(Limit::pcc_voltage_max), wire::PCC_VOLTAGE_MAX);
-  EXPECT_EQ(static_cast<std::uint32_t>(Limit::dc_voltage_min), wire::DC_VOLTAGE_MIN);
-  EXPECT_EQ(static_cast<std::uint32_t>(Limit::dc_voltage_max), wire::DC_VOLTAGE_MAX);
-  EXPECT_EQ(static_cast<std::uint32_t>(OperationKind::advance), wire::ADVANCE);
-  EXPECT_EQ(static_cast<std::uint32_t>(OperationKind::reset_trip), wire::RESET_TRIP);
-  EXPECT_EQ(static_cast<std::uint32_t>(OperationKind::start), wire::START);
-  EXPECT_EQ(static_cast<std::uint32_t>(OperationKind::stop), wire::STOP);
-  EXPECT_EQ(static_cast<std::uint32_t>(ServiceState::starting), wire::STARTING);
-  EXPECT_EQ(static_cast<std::uint32_t>(ServiceState::running), wire::RUNNING);
-  EXPECT_EQ(static_cast<std::uint32_t>(ServiceState::waiting), wire::WAITING);
-  EXPECT_EQ(static_cast<std::uint32_t>(ServiceState::blocked_by_trip), wire::BLOCKED_BY_TRIP);
-  EXPECT_EQ(static_cast<std::uint32_t>(ServiceState::stopped), wire::STOPPED);
+  EXPECT_EQ(static_cast<wire::Verdict>(Verdict::outside_envelope), wire::Verdict::OUTSIDE_ENVELOPE);
+  EXPECT_EQ(static_cast<wire::Verdict>(Verdict::bad_request), wire::Verdict::BAD_REQUEST);
+  EXPECT_EQ(static_cast<wire::Verdict>(Verdict::stale_request), wire::Verdict::STALE_REQUEST);
+  EXPECT_EQ(static_cast<wire::Verdict>(Verdict::unit_blocked), wire::Verdict::UNIT_BLOCKED);
+  EXPECT_EQ(static_cast<wire::RequestField>(Field::none), wire::RequestField::NO_FIELD);
+  EXPECT_EQ(static_cast<wire::RequestField>(Field::client), wire::RequestField::FIELD_CLIENT);
+  EXPECT_EQ(static_cast<wire::RequestField>(Field::id), wire::RequestField::FIELD_ID);
+  EXPECT_EQ(static_cast<wire::RequestField>(Field::given), wire::RequestField::FIELD_GIVEN);
+  EXPECT_EQ(static_cast<wire::RequestField>(Field::p), wire::RequestField::FIELD_ACTIVE_POWER);
+  EXPECT_EQ(static_cast<wire::RequestField>(Field::q), wire::RequestField::FIELD_REACTIVE_POWER);
+  EXPECT_EQ(static_cast<wire::RequestField>(Field::v_c), wire::RequestField::FIELD_DC_VOLTAGE);
+  EXPECT_EQ(static_cast<wire::RequestField>(Field::ramp_s), wire::RequestField::FIELD_RAMP_S);
+  EXPECT_EQ(static_cast<wire::RequestField>(Field::effective_step), wire::RequestField::FIELD_EFFECTIVE_STEP);
+  EXPECT_EQ(static_cast<wire::LimitName>(Limit::steady_state), wire::LimitName::STEADY_STATE);
+  EXPECT_EQ(static_cast<wire::LimitName>(Limit::current), wire::LimitName::CURRENT);
+  EXPECT_EQ(static_cast<wire::LimitName>(Limit::control), wire::LimitName::CONTROL);
+  EXPECT_EQ(static_cast<wire::LimitName>(Limit::control_rough), wire::LimitName::CONTROL_ROUGH);
+  EXPECT_EQ(static_cast<wire::LimitName>(Limit::pcc_voltage_min), wire::LimitName::PCC_VOLTAGE_MIN);
+  EXPECT_EQ(static_cast<wire::LimitName>(Limit::pcc_voltage_max), wire::LimitName::PCC_VOLTAGE_MAX);
+  EXPECT_EQ(static_cast<wire::LimitName>(Limit::dc_voltage_min), wire::LimitName::DC_VOLTAGE_MIN);
+  EXPECT_EQ(static_cast<wire::LimitName>(Limit::dc_voltage_max), wire::LimitName::DC_VOLTAGE_MAX);
+  EXPECT_EQ(static_cast<wire::OperationKind>(OperationKind::advance), wire::OperationKind::ADVANCE);
+  EXPECT_EQ(static_cast<wire::OperationKind>(OperationKind::reset_trip), wire::OperationKind::RESET_TRIP);
+  EXPECT_EQ(static_cast<wire::OperationKind>(OperationKind::start), wire::OperationKind::START);
+  EXPECT_EQ(static_cast<wire::OperationKind>(OperationKind::stop), wire::OperationKind::STOP);
+  EXPECT_EQ(static_cast<wire::ServiceState>(ServiceState::starting), wire::ServiceState::STARTING);
+  EXPECT_EQ(static_cast<wire::ServiceState>(ServiceState::running), wire::ServiceState::RUNNING);
+  EXPECT_EQ(static_cast<wire::ServiceState>(ServiceState::waiting), wire::ServiceState::WAITING);
+  EXPECT_EQ(static_cast<wire::ServiceState>(ServiceState::blocked_by_trip),
+            wire::ServiceState::BLOCKED_BY_TRIP);
+  EXPECT_EQ(static_cast<wire::ServiceState>(ServiceState::stopped), wire::ServiceState::STOPPED);
 }
 
 TEST(Wire, MoreMarginsThanThereAreLimitsAreRefused) {
