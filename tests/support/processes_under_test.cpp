@@ -101,6 +101,10 @@ void Program::kill() {
 }
 
 bool Program::blocks(int signal) const {
+  // Before it is a program of its own, newer C libraries block everything for a moment within fork().
+  std::error_code none;
+  const auto program = std::filesystem::read_symlink("/proc/" + std::to_string(pid_) + "/exe", none);
+  if (none || program == std::filesystem::read_symlink("/proc/self/exe")) return false;
   std::ifstream file("/proc/" + std::to_string(pid_) + "/status");
   for (std::string line; std::getline(file, line);)
     if (line.starts_with("SigBlk:"))
