@@ -240,7 +240,9 @@ TEST(Recorder, BeginsAnotherFileByTimeAndCompressesAsAsked) {
     EXPECT_FALSE(reader.summary().chunks.empty());
     for (const mcap::ChunkIndex& chunk : reader.summary().chunks) {
       constexpr std::uint64_t enough = 10'000;  // bytes; one with few messages is not made smaller
-      if (chunk.uncompressed_bytes > enough) EXPECT_EQ(chunk.compression, compression == "none" ? "" : compression);
+      if (chunk.uncompressed_bytes > enough) {
+        EXPECT_EQ(chunk.compression, compression == "none" ? "" : compression);
+      }
     }
     const double duration_s = info_of(folder / "a_0002.mcap").report["duration_s"];
     EXPECT_GT(duration_s, 0.8);
