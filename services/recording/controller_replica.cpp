@@ -44,6 +44,8 @@ void ControllerReplica::configure(const ControllerConfiguration& configuration, 
 }
 
 void ControllerReplica::see(std::uint64_t sequence, const Modulation& modulation) {
+  if (!has_begun_ && answers_.empty())
+    for (const PlantStream& plant : inputs_.plants) ends_before_.push_back(plant.last_step());
   auto at = answers_.end();
   while (at != answers_.begin() && std::prev(at)->sequence >= sequence) --at;
   if (at != answers_.end() && at->sequence == sequence) return;
@@ -129,7 +131,7 @@ const Measurement* ControllerReplica::sample_of(const Modulation& recorded) {
   const char* field = "measurement_fingerprint";
   for (std::size_t n = plant_; n < inputs_.plants.size(); ++n) {
     const Measurement* sample = inputs_.plants[n].find(recorded.step);
-    if (sample == nullptr) continue;
+    if (sample == nullptr || is_over(n)) continue;
     if (recorded.measurement_fingerprint != 0 && fingerprint(*sample) != recorded.measurement_fingerprint) {
       if (listens_ ? n == plant_ : inputs_.plants.size() == 1) other = sample;
       continue;
@@ -170,6 +172,11 @@ const Measurement* ControllerReplica::sample_of(const Modulation& recorded) {
     lose(fmt::format("sample {} is not in the recording", recorded.step));
   }
   return nullptr;
+}
+
+// This plant has sent nothing since the controller's first answer: what it sent is not what was answered.
+bool ControllerReplica::is_over(std::size_t plant) const {
+  return plant < ends_before_.size() && inputs_.plants[plant].last_step() == ends_before_[plant];
 }
 
 // Its samples were so far those that were answered: then this plant has been listened to all along. All plants

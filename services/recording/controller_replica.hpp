@@ -61,6 +61,7 @@ class ControllerReplica {
   void process(const Answer& answer);
   bool fill_gap(const Answer& answer);
   const Measurement* sample_of(const Modulation& recorded);
+  bool is_over(std::size_t plant) const;
   bool is_twin(const PlantStream& plant) const;
   bool is_answered(const Measurement& sample) const;
   bool is_lost(const Measurement& sample) const;
@@ -78,6 +79,7 @@ class ControllerReplica {
   std::optional<Controller> controller_;
   std::deque<Answer> answers_;          // by sequence
   std::deque<ControllerState> states_;  // by step, not yet met
+  std::vector<std::uint64_t> ends_before_;  // last step of each plant when the first answer came
   std::size_t plant_ = 0;               // index of the plant listened to; the first that may be, if none is
   bool listens_ = false, changes_plant_ = false;
   bool are_orders_known_ = true;  // not: it joined late or was cut off; until its next state tells

@@ -22,6 +22,7 @@ struct PlantStream {
 
   std::vector<std::pair<std::uint64_t, std::uint64_t>> holes;  // steps never heard, from … to
 
+  std::uint64_t last_step() const { return samples.empty() ? first_step : samples.back().step; }
   bool is_hole(std::uint64_t step) const { return holes_near(step, 0) > 0; }
   /// Within so many steps.
   std::size_t holes_near(std::uint64_t step, std::uint64_t distance) const {

@@ -101,26 +101,35 @@ TEST(ControllerReplica, OfABlockedUnitASampleThatTheControllerHasMissedIsNotTheO
 
 // A plant that was killed and one that was started then begin with the same samples to the bit.
 TEST(ControllerReplica, OfPlantsThatBeginAlikeTheOneAnsweredAllAlongIsTheOneThatGoesOn) {
-  UnitInputs inputs;
-  DifferenceLog differences;
-  ControllerReplica replica(1, "controller", inputs, differences, {});
-  replica.configure({}, "test");
-  const auto run = [&](const std::string& plant, bool is_answered) {
-    Emulator emulator(EmulatorConfiguration{}, {});
-    Controller controller(ControllerConfiguration{});
-    for (std::uint64_t k = 0; k < 200; ++k) {
-      const Measurement sample = emulator.sample();
-      const Modulation answer = controller.step(sample);
-      inputs.see(plant, sample);
-      if (is_answered) replica.see(k + 1, answer);
-      emulator.advance(is_answered || k < 9 ? std::optional(command(answer)) : std::nullopt);
-    }
+  struct Case {
+    bool goes_on;               // the killed one sends a last sample when the other is answered already
+    std::uint64_t heard_from;   // step of the started one from which the recorder has heard it
+    std::uint64_t identical;
   };
-  run("killed", false);
-  run("started", true);
-  replica.process(true);
-  EXPECT_EQ(differences.count(), 0u);
-  EXPECT_EQ(replica.findings().identical, 200u);
+  for (const Case& c : {Case{false, 0, 200}, Case{true, 0, 200}, Case{false, 20, 0}}) {
+    UnitInputs inputs;
+    DifferenceLog differences;
+    ControllerReplica replica(1, "controller", inputs, differences, {});
+    replica.configure({}, "test");
+    Emulator killed(EmulatorConfiguration{}, {});
+    const auto run = [&](const std::string& plant, Emulator& emulator, bool is_answered) {
+      Controller controller(ControllerConfiguration{});
+      for (std::uint64_t k = 0; k < 200; ++k) {
+        const Measurement sample = emulator.sample();
+        const Modulation answer = controller.step(sample);
+        if (!is_answered || k >= c.heard_from) inputs.see(plant, sample);
+        if (is_answered) replica.see(k + 1, answer);
+        if (is_answered && k == 5 && c.goes_on) inputs.see("killed", killed.sample());
+        emulator.advance(is_answered || k < 9 ? std::optional(command(answer)) : std::nullopt);
+      }
+    };
+    run("killed", killed, false);
+    Emulator started(EmulatorConfiguration{}, {});
+    run("started", started, true);
+    replica.process(true);
+    EXPECT_EQ(differences.count(), 0u);
+    EXPECT_EQ(replica.findings().identical, c.identical);
+  }
 }
 
 // Cut off for a while it hears of the last order only.
