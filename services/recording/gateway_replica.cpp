@@ -82,11 +82,17 @@ bool GatewayReplica::may_answer_a_request(const Reference& reference) const {
 void GatewayReplica::issue_unasked(std::uint32_t up_to, std::uint64_t step) {
   for (auto next = references_.upper_bound(newest_); next != references_.end() && next->first <= up_to;
        next = references_.upper_bound(newest_)) {
-    if ((is_late_ || resumes_) && clients_.empty()) {
+    const bool is_beginning = (is_late_ || resumes_) && clients_.empty();
+    Arbiter blocked = *arbiter_;
+    if (next->first != newest_ + 1) blocked.note_foreign_reference(next->first - 1);
+    const Reference idle = blocked.block();
+    // Who began on a tripped unit has said so, like everybody who sees one trip.
+    if (is_beginning && !same_bits(idle, next->second)) {
       arbiter_->adopt(next->second);
     } else {
-      if (next->first != newest_ + 1) arbiter_->note_foreign_reference(next->first - 1);
-      compare(next->second, arbiter_->block(), step);
+      *arbiter_ = blocked;
+      compare(next->second, idle, step);
+      sure_from_step_ = 0;
     }
     newest_ = next->first;
   }
@@ -170,7 +176,8 @@ void GatewayReplica::decide(const DecisionMessage& message) {
   arbiter_->note_unit(state);
   if (recorded.kind == RequestKind::revalidate) {
     if (!is_blocked(state)) arbiter_->unblock();
-    compare(message, arbiter_->revalidate(recorded.measured_V, recorded.decided_step));
+    if (!compare(message, arbiter_->revalidate(recorded.measured_V, recorded.decided_step)))
+      take_as_recorded(recorded);
     return;
   }
   const Request* request = request_of(recorded);
@@ -202,7 +209,18 @@ void GatewayReplica::decide(const DecisionMessage& message) {
   }
   clients_.insert(recorded.client);
   decided_.emplace(recorded.client, recorded.id);
-  compare(message, arbiter_->decide(*request, recorded.decided_step));
+  std::optional<Arbiter> before;
+  if (!is_sure(recorded)) before = arbiter_;
+  if (!compare(message, arbiter_->decide(*request, recorded.decided_step))) {
+    arbiter_ = before;
+    take_as_recorded(recorded);
+  }
+}
+
+// Until the unit is where an order of its own leads, what it knew of before is a guess: its journal is not in the
+// recording.
+bool GatewayReplica::is_sure(const Decision& recorded) const {
+  return !resumes_ || recorded.decided_step >= sure_from_step_;
 }
 
 // What it led to stands all the same.
@@ -216,17 +234,18 @@ void GatewayReplica::take_as_recorded(const Decision& recorded) {
   arbiter_->adopt(held);
 }
 
-void GatewayReplica::compare(const DecisionMessage& message, const Decision& computed) {
+// False: not known well enough to be compared.
+bool GatewayReplica::compare(const DecisionMessage& message, const Decision& computed) {
   const Decision& recorded = message.decision;
-  // Until it orders something itself, what it knew of before is a guess: its journal is not in the recording.
-  const bool is_sure = !resumes_ || has_ordered_;
-  has_ordered_ = has_ordered_ || recorded.reference;
+  const bool must_be_same = is_sure(recorded);
+  if (recorded.reference)
+    sure_from_step_ = std::min(sure_from_step_, recorded.decided_step + recorded.steps_to_reach);
   const WireFields as_recorded = fields_of(unit_, message);
-  if (!is_sure &&
+  if (!must_be_same &&
       !is_same(as_recorded, fields_of(unit_, DecisionMessage{computed, describe(computed, *timing_)}))) {
     add_unchecked(findings_.unchecked, recorded.decided_step,
                   "what its journal told it is not in the recording");
-    return take_as_recorded(recorded);
+    return false;
   }
   ++findings_.decisions;
   if (recorded.verdict == Verdict::accepted) ++findings_.accepted_recorded;
@@ -243,13 +262,14 @@ void GatewayReplica::compare(const DecisionMessage& message, const Decision& com
        .computed = {}},
       fields_of(unit_, message), fields_of(unit_, DecisionMessage{computed, describe(computed, *timing_)}));
   if (differences_->count() == before) ++findings_.decisions_identical;
-  if (!computed.reference || computed.repeated) return;
+  if (!computed.reference || computed.repeated) return true;
   newest_ = computed.reference->id;
   const auto issued = references_.find(newest_);
   if (issued != references_.end())
     compare(issued->second, *computed.reference, recorded.decided_step);
   else
     look_for(*computed.reference, recorded.decided_step);
+  return true;
 }
 
 // An issued reference that is not where it belongs: under another name, of another unit, or lost.

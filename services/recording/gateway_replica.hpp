@@ -2,6 +2,7 @@
 // and references compared. All at the end: decisions are few.
 #pragma once
 
+#include <limits>
 #include <map>
 #include <optional>
 #include <set>
@@ -64,7 +65,8 @@ class GatewayReplica {
   void look_for(const Reference& issued, std::uint64_t step);
   const Request* request_of(const Decision& recorded);
   void take_as_recorded(const Decision& recorded);
-  void compare(const DecisionMessage& recorded, const Decision& computed);
+  bool is_sure(const Decision& recorded) const;
+  bool compare(const DecisionMessage& recorded, const Decision& computed);
   void compare(const Reference& recorded, const Reference& computed, std::uint64_t step);
   UnitState state_at(const Decision& decision) const;
 
@@ -79,7 +81,8 @@ class GatewayReplica {
   std::set<std::pair<std::uint64_t, std::uint32_t>> answered_;  // by any recorded decision
   std::set<std::uint64_t> clients_;
   std::uint32_t newest_ = 0;  // reference known to the arbiter
-  bool standing_is_lost_ = false, has_ordered_ = false;
+  bool standing_is_lost_ = false;
+  std::uint64_t sure_from_step_ = std::numeric_limits<std::uint64_t>::max();
   bool is_late_ = false;  // its first decision is not recorded
   const UnitInputs* inputs_ = nullptr;
   const Requests* requests_ = nullptr;

@@ -6,6 +6,8 @@
 #include <arpa/inet.h>
 #include <toml++/toml.h>
 #include <algorithm>
+#include <cerrno>
+#include <cstring>
 #include <filesystem>
 #include <fstream>
 #include <sstream>
@@ -351,10 +353,14 @@ Settings settings_of(const toml::table& table, const std::string& name) {
 }
 
 Settings load_settings(const std::string& path) {
+  std::error_code why;
+  if (std::filesystem::is_directory(path, why))
+    throw SettingsError(path + ": cannot be read: " + std::strerror(EISDIR));
+  errno = 0;
   std::ifstream file(path, std::ios::binary);
+  if (!file.is_open()) throw SettingsError(path + ": cannot be read: " + std::strerror(errno));
   std::ostringstream text;
-  // Not by istreambuf_iterator: that throws where a folder opens but does not read.
-  if (!file.is_open() || std::filesystem::is_directory(path)) throw SettingsError(path + ": cannot be read");
+  // Not by istreambuf_iterator: that throws where a file opens but does not read.
   if (file.peek() != std::ifstream::traits_type::eof()) text << file.rdbuf();
   if (file.bad() || text.bad()) throw SettingsError(path + ": cannot be read");
   return parse_settings(text.str(), path);

@@ -283,12 +283,12 @@ TEST_P(ProgramsRefuse, AWrongFileWithThatOneLine) {
 }
 
 TEST_P(ProgramsRefuse, AFileThatIsNotThere) {
-  expect_refused("not/there.toml", "not/there.toml: cannot be read");
+  expect_refused("not/there.toml", "not/there.toml: cannot be read: No such file or directory");
 }
 
 TEST_P(ProgramsRefuse, AFolder) {
   const std::string folder = std::filesystem::temp_directory_path();
-  expect_refused(folder, folder + ": cannot be read");
+  expect_refused(folder, folder + ": cannot be read: Is a directory");
 }
 
 INSTANTIATE_TEST_SUITE_P(
