@@ -41,9 +41,14 @@ bool GatewayDialogue::may_act(Time now) {
     if (!std::exchange(has_yielded_, true)) spdlog::info("{}stands by: another gateway serves", who_);
     memory_.reset();
   }
-  if (change == Precedence::Change::ends) note_event("standby", "another gateway serves");
+  if (change == Precedence::Change::ends) {
+    note_event("standby", "another gateway serves");
+    has_left_room_ = false;
+  }
+  // One that serves and was not heard of yet has given the next ids, perhaps.
+  if (change == Precedence::Change::begins && !memory_ && (has_yielded_ || has_heard_of_orders_))
+    leave_room();
   if (change == Precedence::Change::begins && std::exchange(has_yielded_, false)) {
-    arbiter_.leave_room();
     arbiter_.forget();
     said_.reset();
     const std::string text = "serves from now on: the gateway that did is silent";
@@ -103,6 +108,7 @@ void GatewayDialogue::hear(const Health& health, Time now) {
   precedence_.hear(health, now);
   if (health.service == "gateway" || health.state == ServiceState::stopped) return;
   arbiter_.note_foreign_reference(health.reference_id);
+  has_heard_of_orders_ = has_heard_of_orders_ || health.reference_id != 0;
   heard_plant_ = heard_plant_ || health.service == "plant";
   heard_controller_ = heard_controller_ || health.service == "controller";
 }
@@ -221,7 +227,8 @@ void GatewayDialogue::say_envelope() {
   if (!outlet_.write(now)) said_.reset();
 }
 
-// A power cut may have taken the end of the journal: the ids that stood there are not given to others.
+// A power cut may have taken the end of the journal, another gateway may have ordered unheard: the ids that they have
+// given are not given again.
 void GatewayDialogue::leave_room() {
   if (!std::exchange(has_left_room_, true)) arbiter_.leave_room();
 }

@@ -91,7 +91,7 @@ class GatewayDialogue {
   std::uint32_t fallen_back_id_ = 0;
   bool fallback_holds_ = true;
   bool was_blocked_ = false;
-  bool has_left_room_ = false;
+  bool has_left_room_ = false, has_heard_of_orders_ = false;
   bool has_yielded_ = false;  // another serves, or has served, beside this one
   bool is_unseen_ = false;   // a sample has come too early to act on it
   bool is_another_ = false;  // since the last sample that was acted on

@@ -106,7 +106,11 @@ void GatewayReplica::catch_up(std::uint32_t reference_id) {
     arbiter_->adopt(standing->second);
   else if (resumes_ && clients_.empty() && reference_id == newest_ + Arbiter::room)
     arbiter_->leave_room();
-  else {
+  else if (clients_.empty() && standing == inputs_->references.end() && reference_id > Arbiter::room &&
+           inputs_->references.count(reference_id - Arbiter::room) != 0) {
+    arbiter_->note_foreign_reference(reference_id - Arbiter::room);
+    arbiter_->leave_room();
+  } else {
     // It stands, and the recording does not hold it.
     standing_is_lost_ = standing == inputs_->references.end();
     arbiter_->note_foreign_reference(reference_id);
