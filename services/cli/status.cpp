@@ -26,7 +26,7 @@ nlohmann::json to_json(const Health& h, double age_s) {
 }
 
 void print(const Health& h, double age_s) {
-  fmt::print("{:<12}{:<17}step {:<12} reference {:<6} heard {:.1f} s ago  {}\n", h.service, name(h.state),
+  fmt::print("{:<16}{:<17}step {:<12} reference {:<6} heard {:.1f} s ago  {}\n", h.service, name(h.state),
              h.step, h.reference_id, age_s, h.text);
   for (const Counter& counter : h.counters)
     if (counter.value != 0) fmt::print("            {} {}\n", counter.name, counter.value);

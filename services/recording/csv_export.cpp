@@ -34,7 +34,7 @@ std::string bare(std::string_view text) {
   std::string out;
   bool in_comment = false;
   for (std::size_t k = 0; k < text.size(); ++k) {
-    if (text.substr(k, 2) == "//") in_comment = true;
+    if (text[k] == '/' && k + 1 < text.size() && text[k + 1] == '/') in_comment = true;
     if (text[k] == '\n') in_comment = false;
     if (!in_comment && !std::isspace(static_cast<unsigned char>(text[k]))) out += text[k];
   }
@@ -43,7 +43,8 @@ std::string bare(std::string_view text) {
 
 bool is_other_idl(const mcap::Schema& schema) {
   const std::string_view text{reinterpret_cast<const char*>(schema.data.data()), schema.data.size()};
-  return !text.empty() && text != idl_text() && bare(text) != bare(idl_text());
+  static const std::string ours = bare(idl_text());
+  return !text.empty() && text != idl_text() && bare(text) != ours;
 }
 
 }  // namespace
