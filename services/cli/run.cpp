@@ -77,16 +77,16 @@ class Conductor {
     });
     wait("whoever served this unit before to be gone",
          [this](Patience) { return company() == Company::none; });
-    if (is_recorded) start_recording();
-    wait("plant and observer to meet", [this](Patience) {
-      stop_.wait(Patience(5));
-      return measurements_.matched() > 0 && modulations_.matched() > 0;
-    });
     // It listens first whether another does.
     wait("the gateway to serve", [this](Patience p) {
       return client_.wait_for("gateway", p, [this](const Health& h) {
         return is_mine(h) && h.state == ServiceState::running;
       });
+    });
+    if (is_recorded) start_recording();
+    wait("plant and observer to meet", [this](Patience) {
+      stop_.wait(Patience(5));
+      return measurements_.matched() > 0 && modulations_.matched() > 0;
     });
     for (const auto& setpoint : settings_.scenario->setpoints) {
       const std::uint64_t step = step_at(settings_, setpoint.at_s);

@@ -3,6 +3,7 @@
 #include <signal.h>
 
 #include <nlohmann/json.hpp>
+#include <regex>
 #include <thread>
 
 #include "services/recording/recorder.hpp"
@@ -125,7 +126,7 @@ TEST(Verify, ARunReexecutesToTheBit) {
   EXPECT_EQ(report["identical"], true);
   EXPECT_EQ(report["unchecked"], 0) << report.dump(2);
   ASSERT_EQ(report["controllers"].size(), 1u);
-  EXPECT_EQ(report["controllers"][0]["identical"], scenario_steps);
+  EXPECT_GE(report["controllers"][0]["identical"], scenario_steps) << "a plant that waits repeats its sample";
   EXPECT_EQ(report["controllers"][0]["states_identical"], 6);  // every 50 ms
   ASSERT_EQ(report["gateways"].size(), 1u);
   EXPECT_EQ(report["gateways"][0]["decisions_identical"], 3);
@@ -560,9 +561,8 @@ TEST(Verify, OneFlippedBitInAnyInputIsReportedAtItsStep) {
 
 TEST(Verify, OneFlippedBitInAnAnswerIsReportedInHexAndDecimal) {
   const Folder folder;
-  std::size_t n = 0;
   rewrite(played(), folder / "flip.mcap", [&](Recorded& m) {
-    if (m.topic != "weakgrid/modulation" || n++ != 1234) return;
+    if (m.topic != "weakgrid/modulation" || from_payload<Modulation>(m.payload)->message.step != 1234) return;
     m.payload[m.payload.size() - 8] ^= std::byte{1};  // the last bit of modulation_beta
   });
   const test::Ended verify = test::run("weakgrid", {"verify", folder / "flip.mcap"});
@@ -571,7 +571,9 @@ TEST(Verify, OneFlippedBitInAnAnswerIsReportedInHexAndDecimal) {
             std::string::npos)
       << verify.out;
   EXPECT_NE(verify.out.find("(0x"), std::string::npos);
-  EXPECT_NE(verify.out.find("2999 of 3000 modulations identical"), std::string::npos) << verify.out;
+  std::smatch counts;
+  ASSERT_TRUE(std::regex_search(verify.out, counts, std::regex("([0-9]+) of ([0-9]+) modulations identical")));
+  EXPECT_EQ(std::stoul(counts[1]) + 1, std::stoul(counts[2])) << verify.out;
 }
 
 TEST(Verify, OtherSettingsTellHowTheOutcomeDiffers) {
