@@ -440,7 +440,8 @@ TEST(Verify, BeginsAtAnyRecordedState) {
     const Sums sums = sums_of(findings);
     EXPECT_EQ(findings.differences.count(), 0u) << words(findings);
     EXPECT_EQ(sums.resumed, 1u);
-    EXPECT_EQ(sums.compared, scenario_steps - (from + 499) / 500 * 500 - 1);
+    EXPECT_GE(sums.compared, scenario_steps - (from + 499) / 500 * 500 - 1);
+    EXPECT_LE(sums.compared, scenario_steps - from + 4) << "a plant that waits repeats its sample";
   }
 }
 
