@@ -55,7 +55,7 @@ bool GatewayDialogue::may_act(Time now) {
     note_event("takeover", text);
     spdlog::warn("{}{}", who_, text);
   }
-  return precedence_.acts() && has_heard_all(now);
+  return precedence_.acts();
 }
 
 void GatewayDialogue::decide(const Request& request, Time now) {
@@ -227,8 +227,8 @@ void GatewayDialogue::say_envelope() {
   if (!outlet_.write(now)) said_.reset();
 }
 
-// A power cut may have taken the end of the journal, another gateway may have ordered unheard: the ids that they have
-// given are not given again.
+// A power cut may have taken the end of the journal, another gateway may have ordered unheard: the ids that they
+// have given are not given again.
 void GatewayDialogue::leave_room() {
   if (!std::exchange(has_left_room_, true)) arbiter_.leave_room();
 }
@@ -274,7 +274,7 @@ bool GatewayDialogue::has_heard_all(Time now) const {
 }
 
 bool GatewayDialogue::has_looked_around(Time now) const {
-  return precedence_.acts() && has_heard_all(now) && ((!memory_ && !is_unseen_) || now - started_ > std::chrono::seconds(3));
+  return precedence_.acts() && ((!memory_ && !is_unseen_) || now - started_ > std::chrono::seconds(3));
 }
 
 Health GatewayDialogue::health(Time now) const {

@@ -36,8 +36,8 @@ class GatewayDialogue {
  public:
   using Time = std::chrono::steady_clock::time_point;
 
-  /// instance: as its health says. who: its lines in the log begin so. memory: what the journal of an earlier start tells; settings hold
-  /// the grid of it already.
+  /// instance: as its health says. who: its lines in the log begin so. memory: what the journal of an earlier
+  /// start tells; settings hold the grid of it already.
   GatewayDialogue(const Settings& settings, std::uint64_t instance, const std::string& who,
                   const GatewayMemory& memory, GatewayOutlet& outlet, Time now);
   /// It stops, in order.

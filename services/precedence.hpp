@@ -38,7 +38,8 @@ class Precedence {
   Change ask(bool is_ready, Time now) noexcept {
     if (now - asked_ > absence) {
       acts_from_ = now + listening;
-      heard_ = now;  // the other may have stood still with it
+      if (serves_ && heard_ <= asked_) other_ = 0;             // heard before, it tells nothing of now
+      if (!serves_ && is_another_there(asked_)) heard_ = now;  // it may have stood still, too
     }
     asked_ = now;
     const bool listens = now < acts_from_;

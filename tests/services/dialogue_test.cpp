@@ -459,6 +459,20 @@ TEST(OneGateway, WhoComesBackFromAStopGoesOnWhereNobodyHasReplacedIt) {
   EXPECT_EQ(alone.ask(3, given_p).verdict, Verdict::accepted) << "and knows what stands";
 }
 
+TEST(OneGateway, WhoTookOverFromTheDeadDoesNotTakeItForAliveAfterAStop) {
+  Serving g;
+  g.hear_another(9);  // in vain: it is the higher
+  EXPECT_TRUE(g.answers(2));
+  for (const auto quiet : {std::chrono::milliseconds(500), std::chrono::milliseconds(60'000)}) {
+    g.pass(quiet);
+    g.now += std::chrono::seconds(1);
+    g.pass(Precedence::listening + std::chrono::milliseconds(100));
+    g.watch();
+    EXPECT_EQ(g.gateway.health(g.now).service, "");
+  }
+  EXPECT_EQ(g.ask(3, given_p).verdict, Verdict::accepted) << "and knows what stands";
+}
+
 TEST(OneGateway, WhoStoodStillWithTheOtherDoesNotTakeItForSilent) {
   Restarted r;
   r.hear("plant", 7);
