@@ -137,24 +137,22 @@ void exercise_summary(ByteView bytes) {
 void exercise_recover(ByteView bytes, const std::string& folder) {
   const std::string broken = folder + "/broken.mcap", clean = folder + "/clean.mcap";
   write_file(broken, bytes);
-  for (const bool keep_bad_crc : {false, true}) {
-    mcap::RecoverOptions options;
-    options.writer.chunk_bytes = 4096;
-    options.writer.compression = mcap::Compression::none;  // else the time goes into libzstd
-    options.reader = limits(keep_bad_crc);
-    mcap::Recovery recovery;
-    if (mcap::recover(broken, clean, options, recovery).ok()) {
-      mcap::Reader reader;
-      claim(reader.open(clean).ok(), "what recover makes can be read");
-      std::uint64_t messages = 0;
-      while (const auto record = reader.next()) messages += std::holds_alternative<mcap::Message>(*record);
-      claim(reader.report().intact(), "and is intact");
-      claim(messages == recovery.messages, "and holds what recover says");
-      claim(recovery.messages + recovery.refused >= recovery.scan.messages, "nothing is lost in silence");
-      claim(!recovery.text().empty(), "a recovery has words");
-    }
-    std::filesystem::remove(clean);
+  mcap::RecoverOptions options;
+  options.writer.chunk_bytes = 4096;
+  options.writer.compression = mcap::Compression::none;  // else the time goes into libzstd
+  options.reader = limits(bytes.size() % 2 == 0);        // one of both a case: a file is cut at either
+  mcap::Recovery recovery;
+  if (mcap::recover(broken, clean, options, recovery).ok()) {
+    mcap::Reader reader;
+    claim(reader.open(clean).ok(), "what recover makes can be read");
+    std::uint64_t messages = 0;
+    while (const auto record = reader.next()) messages += std::holds_alternative<mcap::Message>(*record);
+    claim(reader.report().intact(), "and is intact");
+    claim(messages == recovery.messages, "and holds what recover says");
+    claim(recovery.messages + recovery.refused >= recovery.scan.messages, "nothing is lost in silence");
+    claim(!recovery.text().empty(), "a recovery has words");
   }
+  std::filesystem::remove(clean);
   export_tables(broken, folder + "/tables");
   std::filesystem::remove_all(folder + "/tables");
   std::filesystem::remove(broken);
