@@ -17,6 +17,6 @@ say() { # program and commands
   done
 }
 
-for name in weakgrid weakgrid-plant weakgrid-controller weakgrid-unit weakgrid-gateway weakgrid-recorder weakgrid-replayer; do
+for name in weakgrid weakgrid-plant weakgrid-controller weakgrid-unit weakgrid-gateway weakgrid-recorder weakgrid-replayer weakgrid-console; do
   say "$name"
 done

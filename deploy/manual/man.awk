@@ -87,7 +87,7 @@ section ~ /:$/ { sub(/^ +/, ""); print roff($0); next }
 function unindented(text) { sub(/^         /, "", text); return text }
 END {
   print ".SH SEE ALSO"
-  split("weakgrid weakgrid-plant weakgrid-controller weakgrid-unit weakgrid-gateway weakgrid-recorder weakgrid-replayer", all, " ")
+  split("weakgrid weakgrid-plant weakgrid-controller weakgrid-unit weakgrid-gateway weakgrid-recorder weakgrid-replayer weakgrid-console", all, " ")
   line = ""
   for (n = 1; n in all; ++n) if (all[n] != program) line = line (line == "" ? "" : ", ") "\\fB" roff(all[n]) "\\fR(1)"
   print line

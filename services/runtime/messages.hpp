@@ -2,6 +2,7 @@
 // manifest.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <string>
 #include <vector>
@@ -63,11 +64,24 @@ struct Counter {
   friend bool operator==(const Counter&, const Counter&) = default;
 };
 
-/// How long one stage of a loop's step took, since the service started; quantiles to 0.4 %.
+/// What durations are compared with: 1, 2, 5, 10, … µs, the last 1 s.
+inline constexpr std::array<std::uint64_t, 19> timing_bounds_ns = [] {
+  std::array<std::uint64_t, 19> bounds{};
+  std::uint64_t decade = 1000;
+  for (std::size_t n = 0; n < bounds.size(); ++n) {
+    constexpr std::uint64_t parts[] = {1, 2, 5};
+    bounds[n] = parts[n % 3] * decade;
+    if (n % 3 == 2) decade *= 10;
+  }
+  return bounds;
+}();
+
+/// How long one stage of a loop's step took, since the service started; all but count and max to 0.4 %.
 struct StageTiming {
   std::string stage;  // at most 15 bytes
   std::uint64_t count = 0;
-  std::uint64_t p50_ns = 0, p99_ns = 0, p999_ns = 0, max_ns = 0;
+  std::uint64_t p50_ns = 0, p99_ns = 0, p999_ns = 0, max_ns = 0, sum_ns = 0;
+  std::array<std::uint64_t, timing_bounds_ns.size()> at_most{};  // of timing_bounds_ns
 };
 
 struct Health {

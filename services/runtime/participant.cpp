@@ -107,9 +107,9 @@ void find_others(const DdsSettings& settings, Role role, dds::DomainParticipantQ
   builtin.discovery_config.leaseDuration_announcementperiod = Duration_t(1, 0);
   if (!settings.discovery_server.empty()) {
     // A server tells a client of what that client takes part in; who listens to everything must ask for all.
-    builtin.discovery_config.discoveryProtocol = role == Role::recorder || role == Role::replayer
-                                                     ? rtps::DiscoveryProtocol::SUPER_CLIENT
-                                                     : rtps::DiscoveryProtocol::CLIENT;
+    const bool listens_to_all = role == Role::recorder || role == Role::replayer || role == Role::console;
+    builtin.discovery_config.discoveryProtocol =
+        listens_to_all ? rtps::DiscoveryProtocol::SUPER_CLIENT : rtps::DiscoveryProtocol::CLIENT;
     const std::size_t colon = settings.discovery_server.find(':');
     use_discovery_server(
         locator(settings.discovery_server.substr(0, colon),

@@ -148,6 +148,13 @@ struct Settings {
     std::string journal;  // file; empty: none
   } gateway;
   DdsSettings dds;
+  struct {
+    std::string address = "127.0.0.1";
+    std::uint32_t port = 8080;  // 0: one that is free, said in the log
+    std::string certificate, key;  // files, PEM; both or none
+    std::string tokens;            // file
+    std::vector<std::string> hosts, origins;
+  } console;
 
   struct {
     std::uint32_t priority = 0;  // SCHED_FIFO; 0: as the process was started

@@ -115,6 +115,15 @@ void visit(File& file, SettingsOrConst& s) {
     f.text("security", s.dds.security);
     f.word("loop", s.dds.loop, loop_transports);
   });
+  file.section("console", [&](auto& f) {
+    f.text("address", s.console.address);
+    f.count("port", s.console.port, 0, 65535);
+    f.text("certificate", s.console.certificate);
+    f.text("key", s.console.key);
+    f.text("tokens", s.console.tokens);
+    f.texts("hosts", s.console.hosts, 0, 16);
+    f.texts("origins", s.console.origins, 0, 16);
+  });
   file.section("realtime", [&](auto& f) {
     f.count("priority", s.realtime.priority, 0, 99);
     f.count("cpu", s.realtime.cpu, -1, 1023);

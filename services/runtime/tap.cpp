@@ -371,7 +371,7 @@ struct Tap::Impl : WriterListener {
     factory->set_qos(factory_qos);
     try {
       // The buffer: what comes while this process waits for a processor.
-      participant = make_participant(options.domain, options.dds, Role::recorder, this, 4 << 20);
+      participant = make_participant(options.domain, options.dds, options.role, this, 4 << 20);
     } catch (...) {
       factory->set_qos(before);
       throw;

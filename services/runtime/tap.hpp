@@ -20,6 +20,7 @@ class Tap {
   struct Options {
     std::uint32_t domain = 0;
     DdsSettings dds;
+    Role role = Role::recorder;
     TopicFilter filter;
     std::size_t writers_max = 4096;  ///< more are left out
   };

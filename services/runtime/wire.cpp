@@ -460,6 +460,8 @@ void encode(const Health& m, wire::Health& out) {
     item.p99_ns(timing.p99_ns);
     item.p999_ns(timing.p999_ns);
     item.max_ns(timing.max_ns);
+    item.sum_ns(timing.sum_ns);
+    item.at_most(timing.at_most);
   }
 }
 
@@ -475,8 +477,8 @@ bool decode(const wire::Health& in, Health& m) {
   m.digest = in.digest().c_str();
   m.text = in.text().c_str();
   for (const wire::StageTiming& item : in.timings())
-    m.timings.push_back(
-        {item.stage().c_str(), item.count(), item.p50_ns(), item.p99_ns(), item.p999_ns(), item.max_ns()});
+    m.timings.push_back({item.stage().c_str(), item.count(), item.p50_ns(), item.p99_ns(), item.p999_ns(),
+                         item.max_ns(), item.sum_ns(), item.at_most()});
   return true;
 }
 

@@ -245,9 +245,12 @@ WireFields list(const wire::Health& m) {
           FIELD(digest),
           FIELD(text),
           {"timings", sequence(m.timings(), [](const wire::StageTiming& item) {
-             return std::string(item.stage().c_str()) + ":" + std::to_string(item.count()) + ":" +
-                    std::to_string(item.p50_ns()) + ":" + std::to_string(item.p99_ns()) + ":" +
-                    std::to_string(item.p999_ns()) + ":" + std::to_string(item.max_ns());
+             std::string text = item.stage().c_str();
+             for (const std::uint64_t value : {item.count(), item.p50_ns(), item.p99_ns(), item.p999_ns(),
+                                               item.max_ns(), item.sum_ns()})
+               text += ":" + std::to_string(value);
+             for (const std::uint64_t value : item.at_most()) text += ":" + std::to_string(value);
+             return text;
            })}};
 }
 

@@ -21,11 +21,11 @@ for script in postinst prerm postrm; do sh -n "$root/control/$script"; done
 if grep -E 'systemctl +(--[a-z]+ +)*(enable|start|restart)|deb-systemd-(helper|invoke)' "$root/control"/p*; then fail "a script enables or starts something"; fi
 grep -q systemd-sysusers "$root/control/postinst" || fail "nobody makes the user"
 
-programs=(weakgrid weakgrid-plant weakgrid-controller weakgrid-unit weakgrid-gateway weakgrid-recorder weakgrid-replayer)
+programs=(weakgrid weakgrid-plant weakgrid-controller weakgrid-unit weakgrid-gateway weakgrid-recorder weakgrid-replayer weakgrid-console)
 # Debian 12 keeps these outside /usr, its successors do not.
 lib=usr/lib
 [ "$(. /etc/os-release && echo "${VERSION_ID:-}")" != 12 ] || lib=lib
-files=("$lib"/systemd/system/weakgrid-{plant,controller,unit,gateway,recorder}@.service "$lib/systemd/system/weakgrid@.target"
+files=("$lib"/systemd/system/weakgrid-{plant,controller,unit,gateway,recorder,console}@.service "$lib/systemd/system/weakgrid@.target"
   "$lib/udev/rules.d/60-weakgrid.rules" usr/lib/sysusers.d/weakgrid.conf usr/share/weakgrid/weakgrid.idl
   usr/share/weakgrid/settings/paper-weak.toml usr/share/doc/weakgrid/{README,deploy,services}.md.gz)
 for folder in dds security; do

@@ -15,10 +15,10 @@ for unit in "$units"/weakgrid*@.*; do
   name=$(basename -- "$unit")
   ln -s "$unit" "$units/${name/@./@here.}"
 done
-services=(plant controller unit gateway recorder)
+services=(plant controller unit gateway recorder console)
 [ "$(ls "$units"/weakgrid-*@.service | wc -l)" -eq ${#services[@]} ] || fail "not the services that are checked: $(ls "$units")"
 said=$(SYSTEMD_UNIT_PATH=$units: systemd-analyze verify --man=no --recursive-errors=yes \
-  "$units"/weakgrid-{plant,controller,unit,gateway,recorder}@here.service "$units/weakgrid@here.target" 2>&1 |
+  "$units"/weakgrid-{plant,controller,unit,gateway,recorder,console}@here.service "$units/weakgrid@here.target" 2>&1 |
   grep -i weakgrid) || true
 [ -z "$said" ] || fail "systemd-analyze verify says:
 $said"
@@ -37,7 +37,7 @@ printf '[Service]\nExecStart=/bin/true\n' > "$root/weakgrid-lax.service"
 if (exposure "$root/weakgrid-lax.service" 20) > /dev/null 2>&1; then fail "security finds nothing in a lax unit"; fi
 for service in "${services[@]}"; do
   # What counts: the loop's may have real-time scheduling and a device.
-  case $service in gateway | recorder) most=15 ;; *) most=19 ;; esac
+  case $service in gateway | recorder | console) most=15 ;; *) most=19 ;; esac
   exposure "$units/weakgrid-$service@here.service" $most
   tail -1 "$root/security"
 done

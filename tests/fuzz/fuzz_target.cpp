@@ -5,6 +5,7 @@
 #include <filesystem>
 
 #include "tests/fuzz/exercise.hpp"
+#include "tests/fuzz/exercise_web.hpp"
 
 namespace {
 
@@ -20,15 +21,13 @@ using weakgrid::mcap::ByteView;
 [[maybe_unused]] void reader(ByteView bytes) { weakgrid::fuzz::exercise_reader(bytes); }
 [[maybe_unused]] void summary(ByteView bytes) { weakgrid::fuzz::exercise_summary(bytes); }
 [[maybe_unused]] void payload(ByteView bytes) { weakgrid::fuzz::exercise_payload(bytes); }
-[[maybe_unused]] void settings(ByteView bytes) {
-  weakgrid::fuzz::exercise_settings({reinterpret_cast<const char*>(bytes.data()), bytes.size()});
-}
-[[maybe_unused]] void schedule(ByteView bytes) {
-  weakgrid::fuzz::exercise_schedule({reinterpret_cast<const char*>(bytes.data()), bytes.size()});
-}
-[[maybe_unused]] void journal(ByteView bytes) {
-  weakgrid::fuzz::exercise_journal({reinterpret_cast<const char*>(bytes.data()), bytes.size()});
-}
+[[maybe_unused]] std::string_view text_of(ByteView bytes) { return {reinterpret_cast<const char*>(bytes.data()), bytes.size()}; }
+
+[[maybe_unused]] void settings(ByteView bytes) { weakgrid::fuzz::exercise_settings(text_of(bytes)); }
+[[maybe_unused]] void schedule(ByteView bytes) { weakgrid::fuzz::exercise_schedule(text_of(bytes)); }
+[[maybe_unused]] void journal(ByteView bytes) { weakgrid::fuzz::exercise_journal(text_of(bytes)); }
+[[maybe_unused]] void http(ByteView bytes) { weakgrid::fuzz::exercise_http(text_of(bytes)); }
+[[maybe_unused]] void foxglove(ByteView bytes) { weakgrid::fuzz::exercise_foxglove(text_of(bytes)); }
 [[maybe_unused]] void recover(ByteView bytes) {
   static const struct Scratch {
     std::string path = scratch();

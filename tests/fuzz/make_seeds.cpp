@@ -4,6 +4,7 @@
 #include <fstream>
 #include <span>
 
+#include "tests/fuzz/exercise_web.hpp"
 #include "tests/fuzz/seeds.hpp"
 
 namespace {
@@ -33,5 +34,7 @@ int main(int argc, char** argv) {
   for (const auto& seed : settings_seeds()) write(folder / "settings", n++, std::as_bytes(std::span{seed}));
   for (const auto& seed : schedule_seeds()) write(folder / "schedule", n++, std::as_bytes(std::span{seed}));
   for (const auto& seed : journal_seeds()) write(folder / "journal", n++, std::as_bytes(std::span{seed}));
+  for (const auto& seed : http_seeds()) write(folder / "http", n++, std::as_bytes(std::span{seed}));
+  for (const auto& seed : foxglove_seeds()) write(folder / "foxglove", n++, std::as_bytes(std::span{seed}));
   std::printf("%zu seeds in %s\n", n, argv[1]);
 }

@@ -8,6 +8,7 @@
 #include "services/runtime/payload.hpp"
 #include "services/runtime/wire_fields.hpp"
 #include "tests/fuzz/exercise.hpp"
+#include "tests/fuzz/exercise_web.hpp"
 #include "tests/fuzz/seeds.hpp"
 #include "tests/recording/payload_of.hpp"
 #include "tests/recording/recording_support.hpp"
@@ -119,6 +120,14 @@ TEST(Mutations, ADamagedScheduleIsRefusedOrInOrder) {
 
 TEST(Mutations, ADamagedJournalIsReadUpToItsFault) {
   try_all(journal_seeds(), mcap::law_count(20'000), [](const std::string& text) { exercise_journal(text); });
+}
+
+TEST(Mutations, ADamagedConnectionIsAnsweredOrEndsAndOthersAreServed) {
+  try_all(http_seeds(), mcap::law_count(2000), [](const std::string& bytes) { exercise_http(bytes); });
+}
+
+TEST(Mutations, ADamagedFoxgloveClientIsToldSo) {
+  try_all(foxglove_seeds(), mcap::law_count(5000), [](const std::string& text) { exercise_foxglove(text); });
 }
 
 TEST(Mutations, APayloadLongerThanItsTypeCanBeIsRefused) {

@@ -9,24 +9,14 @@ set -euo pipefail
 here=$(dirname -- "$(readlink -f -- "${BASH_SOURCE[0]}")")
 # shellcheck source=tests/support/npm_packages.sh
 source "$here/../../support/npm_packages.sh"
+# shellcheck source=tests/support/free_domain.sh
+source "$here/../../support/free_domain.sh"
 into=$2/interop_mcap
 install_packages "$here" "$into"
 exec 9>&-
 mkdir -p "$into/recordings"
 cp "$here/recording_interop.mjs" "$here/decompress.mjs" "$into/recordings/"
 
-# A DDS domain that no other test on this machine has: tests/support/processes_under_test.hpp.
-free_domain() {
-  local lock
-  for domain in {215..229}; do
-    lock=${TMPDIR:-/tmp}/weakgrid-test-domain-$domain.lock
-    [ -e "$lock" ] || (umask 0 && : >> "$lock")
-    exec 8< "$lock"
-    if flock -n 8; then return; fi
-  done
-  echo "recording_interop.sh: no DDS domain is free for a test" >&2
-  exit 3
-}
 free_domain
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
