@@ -28,7 +28,7 @@ lib=usr/lib
 files=("$lib"/systemd/system/weakgrid-{plant,controller,unit,gateway,recorder,console}@.service "$lib/systemd/system/weakgrid@.target"
   "$lib/udev/rules.d/60-weakgrid.rules" usr/lib/sysusers.d/weakgrid.conf usr/share/weakgrid/weakgrid.idl
   usr/share/weakgrid/settings/paper-weak.toml usr/share/doc/weakgrid/{README,deploy,services}.md.gz)
-for folder in dds security; do
+for folder in dds security metrics; do
   [ ! -d "$source/deploy/$folder" ] || files+=("usr/share/weakgrid/$folder")
 done
 for program in "${programs[@]}"; do
