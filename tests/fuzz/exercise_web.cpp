@@ -37,7 +37,12 @@ WebServer& server() {
       [](const WebRequest& request) {
         claim(request.path.find('?') == std::string_view::npos, "a path has no query");
         claim(request.method == "GET" || request.method == "POST", "GET or POST");
-        return request.access == Access::none ? WebResponse{.status = 401} : WebResponse{.body = "in"};
+        WebResponse response;
+        if (request.access == Access::none)
+          response.status = 401;
+        else
+          response.body = "in";
+        return response;
       },
       {{"/", "echo", [](WebPeer& peer, Access access) {
           claim(access == Access::set, "nobody converses who may not");
