@@ -461,7 +461,7 @@ void encode(const Health& m, wire::Health& out) {
     item.p999_ns(timing.p999_ns);
     item.max_ns(timing.max_ns);
     item.sum_ns(timing.sum_ns);
-    item.at_most(timing.at_most);
+    item.at_most().assign(timing.at_most.begin(), timing.at_most.end());
   }
 }
 
@@ -476,9 +476,13 @@ bool decode(const wire::Health& in, Health& m) {
   for (const wire::Counter& item : in.counters()) m.counters.push_back({item.name().c_str(), item.value()});
   m.digest = in.digest().c_str();
   m.text = in.text().c_str();
-  for (const wire::StageTiming& item : in.timings())
-    m.timings.push_back({item.stage().c_str(), item.count(), item.p50_ns(), item.p99_ns(), item.p999_ns(),
-                         item.max_ns(), item.sum_ns(), item.at_most()});
+  for (const wire::StageTiming& item : in.timings()) {
+    StageTiming& timing = m.timings.emplace_back(StageTiming{item.stage().c_str(), item.count(), item.p50_ns(),
+                                                             item.p99_ns(), item.p999_ns(), item.max_ns(),
+                                                             item.sum_ns(), {}});
+    std::copy_n(item.at_most().begin(), std::min(item.at_most().size(), timing.at_most.size()),
+                timing.at_most.begin());
+  }
   return true;
 }
 

@@ -249,7 +249,9 @@ WireFields list(const wire::Health& m) {
              for (const std::uint64_t value : {item.count(), item.p50_ns(), item.p99_ns(), item.p999_ns(),
                                                item.max_ns(), item.sum_ns()})
                text += ":" + std::to_string(value);
-             for (const std::uint64_t value : item.at_most()) text += ":" + std::to_string(value);
+             text += ":";
+             for (const std::uint64_t value : item.at_most())
+               text += (text.back() == ':' ? "" : "/") + std::to_string(value);
              return text;
            })}};
 }

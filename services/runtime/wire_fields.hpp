@@ -17,7 +17,7 @@ namespace weakgrid {
 
 struct WireField {
   /// Whole numbers of either sign, doubles, and texts; an enumerator is the text of its name, a sequence one
-  /// text with ; between elements and : within, a field of a nested struct is named outer.inner.
+  /// text with ; between elements, : within and / within that, a field of a nested struct is named outer.inner.
   using Value = std::variant<bool, std::uint64_t, std::int64_t, double, std::string>;
   const char* name;
   Value value;

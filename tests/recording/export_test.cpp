@@ -95,7 +95,7 @@ TEST(Export, TextsAreQuotedWhereRfc4180AsksForIt) {
   EXPECT_EQ(run_export({folder / "a.mcap"}, folder / "csv").status, 0);
   const std::string text = text_of(folder / "csv/h.csv");
   EXPECT_EQ(text.substr(text.find('\n') + 1),
-            "1001,901,01|2,1,1,\"pl,ant\",0,STARTING,0,0,0,a:1;b:2,,\"says \"\"no\"\"\r\nand stops\",write:5:1:2:3:4:5:6:0:0:0:0:0:0:0:0:0:0:0:0:0:0:0:0:0:0\n");
+            "1001,901,01|2,1,1,\"pl,ant\",0,STARTING,0,0,0,a:1;b:2,,\"says \"\"no\"\"\r\nand stops\",write:5:1:2:3:4:5:6/0/0/0/0/0/0/0/0/0/0/0/0/0/0/0/0/0/0\n");
 }
 
 TEST(Export, OfOtherTypesThePayloadIsThereAndNamesStayInTheFolderAndApart) {

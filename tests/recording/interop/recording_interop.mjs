@@ -114,6 +114,11 @@ class Contract {
     return [...this.structs].filter(isRoot).map(([name]) => name);
   }
   says(field, value, text) {
+    if (field.isArray && !this.structs.has(field.type)) {
+      const elements = text === "" ? [] : text.split("/");
+      return elements.length === value.length &&
+        elements.every((element, k) => this.says({ ...field, isArray: false }, value[k], element));
+    }
     if (field.isArray) {
       const elements = text === "" ? [] : text.split(";");
       return elements.length === value.length && elements.every((element, k) => {
